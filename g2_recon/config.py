@@ -1,0 +1,268 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Every setting there is: one model a stage, each field with its default, unit, range and meaning.
+
+A field is the key in a YAML file, the option on the command line and the ROS parameter of the same name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
+
+from g2_recon.errors import ConfigError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def _setting(default: Any, meaning: str, unit: str = "", *, ge: float | None = None, le: float | None = None) -> Any:
+    extra: dict[str, Any] = {"unit": unit}
+    return Field(default, ge=ge, le=le, description=meaning, json_schema_extra=extra)
+
+
+def _pose(meaning: str) -> Any:
+    return Field((), description=meaning, json_schema_extra={"unit": "m m m rad rad rad"})
+
+
+def _check_pose(name: str, pose: tuple[float, ...]) -> None:
+    if len(pose) not in (0, 6):
+        raise ValueError(f"{name} needs six numbers x y z roll pitch yaw (m, rad), or none; got {len(pose)}")
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=False, validate_default=True
+    )
+
+
+class LocalizationConfig(_Model):
+    """Scan-to-map ICP with the horizontal laser."""
+
+    laser_pose: tuple[float, ...] = _pose(
+        "pose of the horizontal laser on the robot as x y z roll pitch yaw; empty: as the recording or TF says"
+    )
+    use_odometry: bool = _setting(
+        True, "take wheel odometry as the first guess where there is some; else constant velocity"
+    )
+    min_range: float = _setting(0.1, "nearer returns are the robot itself", "m", ge=0, le=10)
+    max_range: float = _setting(30.0, "farther returns are not used", "m", ge=0.5, le=200)
+    keyframe_distance: float = _setting(
+        0.25, "the map grows when the robot has moved this far ...", "m", ge=0.01, le=10
+    )
+    keyframe_angle: float = _setting(
+        round(math.radians(10), 4), "... or has turned this far since it last grew", "rad", ge=0.01, le=math.pi
+    )
+    map_spacing: float = _setting(0.05, "a point enters the map where it has no point this near", "m", ge=0.001, le=1)
+    max_correspondence: float = _setting(
+        0.6, "farthest map point that a beam is paired with in the first iteration", "m", ge=0.05, le=5
+    )
+    min_correspondence: float = _setting(
+        0.12, "the same in the last iterations, so that what does not fit is rejected", "m", ge=0.01, le=5
+    )
+    max_iterations: int = _setting(25, "ICP iterations at most for one scan", ge=1, le=500)
+    min_inliers: float = _setting(
+        0.3,
+        "a match with a smaller share of paired beams is rejected; the pose then follows the first guess",
+        ge=0,
+        le=1,
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> LocalizationConfig:
+        _check_pose("laser_pose", self.laser_pose)
+        if self.min_range >= self.max_range:
+            raise ValueError("min_range must be smaller than max_range")
+        if self.min_correspondence > self.max_correspondence:
+            raise ValueError("min_correspondence must not be larger than max_correspondence")
+        return self
+
+
+class RegistrationConfig(_Model):
+    """Vertical scans to a cloud in the map frame."""
+
+    laser_pose: tuple[float, ...] = _pose(
+        "pose of the vertical laser on the robot as x y z roll pitch yaw; empty: as the recording or TF says"
+    )
+    min_range: float = _setting(0.2, "nearer returns are the robot itself", "m", ge=0, le=10)
+    max_range: float = _setting(30.0, "farther returns are not used", "m", ge=0.5, le=200)
+    max_wait: float = _setting(
+        2.0, "a scan that has no pose when poses are this much newer is dropped and counted", "s", ge=0, le=60
+    )
+    max_gap: float = _setting(0.5, "poses farther apart in time are not interpolated between", "s", ge=0.001, le=60)
+
+    @model_validator(mode="after")
+    def _check(self) -> RegistrationConfig:
+        _check_pose("laser_pose", self.laser_pose)
+        if self.min_range >= self.max_range:
+            raise ValueError("min_range must be smaller than max_range")
+        return self
+
+
+class ReconstructionConfig(_Model):
+    """Clusters, one self-organizing map a cluster, joins, border re-optimization, triangles."""
+
+    mode: Literal["solid", "paper"] = _setting(
+        "solid", "solid: batch training, small final neighborhood; paper: the published iterative rule and schedule"
+    )
+    clusters: int = _setting(
+        100,
+        "clusters, and so submaps, at most; small clouds get fewer, each with a point a neuron or more",
+        ge=1,
+        le=100_000,
+    )
+    rows: int = _setting(10, "neurons along one side of each lattice", ge=2, le=200)
+    columns: int = _setting(5, "neurons along the other side of each lattice", ge=2, le=200)
+    passes: int = _setting(10_000, "mode paper: presentations of all data to each map", ge=1, le=1_000_000)
+    epochs: int = _setting(30, "mode solid: batch updates of each map", ge=1, le=100_000)
+    learning_rate_start: float = _setting(0.5, "mode paper: learning rate at the start", ge=0, le=1)
+    learning_rate_end: float = _setting(0.005, "mode paper: learning rate at the end", ge=0, le=1)
+    theta: float = _setting(
+        1.8, "border neurons are joined when nearer than this many mean distances to lattice neighbors", ge=0, le=10
+    )
+    border_width: int = _setting(
+        1, "neurons up to this many steps from a joined border neuron are re-optimized; 0: none", ge=0, le=100
+    )
+    border_passes: int = _setting(20, "passes over the border data in the re-optimization", ge=1, le=100_000)
+    min_sensor_distance: float = _setting(
+        0.2, "points nearer to where they were seen from are the robot itself and are left out", "m", ge=0, le=10
+    )
+    support_distance: float = _setting(
+        0.3, "mode solid: a triangle is kept where data lies this near to all of it", "m", ge=0.01, le=100
+    )
+    seed: int = _setting(0, "seed of everything random", ge=0, le=2**31 - 1)
+    workers: int = _setting(
+        0, "threads that train maps; 0: one a processor; the result does not depend on it", ge=0, le=1024
+    )
+
+
+class SimulationConfig(_Model):
+    """A differential-drive robot with two LMS200 in a simulated building."""
+
+    seed: int = _setting(0, "seed of all noise", ge=0, le=2**31 - 1)
+    setup: Literal["orthogonal", "sweeping"] = _setting(
+        "orthogonal",
+        "orthogonal: a horizontal and a vertical laser while driving; sweeping: one that tilts while the robot stands",
+    )
+    max_speed: float = _setting(0.5, "top speed of the robot", "m/s", ge=0.01, le=5)
+    max_turn_rate: float = _setting(0.6, "top turn rate of the robot", "rad/s", ge=0.01, le=5)
+    acceleration: float = _setting(0.5, "acceleration of the robot", "m/s^2", ge=0.01, le=10)
+    range_noise: float = _setting(0.01, "standard deviation of a range", "m", ge=0, le=1)
+    beam_spacing: Literal["1", "0.5"] = _setting("1", "beam spacing in deg: 1 at 75 Hz or 0.5 at 37.5 Hz", "deg")
+    measuring_mode: Literal["8", "80"] = _setting("80", "the laser sees 8 m or 80 m far", "m")
+    mixed_pixels: bool = _setting(True, "ranges between near and far where a beam is split by an edge")
+    horizontal_every: int = _setting(3, "the horizontal laser keeps one scan in this many", ge=1, le=1000)
+    vertical_every: int = _setting(16, "the vertical laser keeps one scan in this many", ge=1, le=1000)
+    odometry_rate: float = _setting(25.0, "odometry messages a second", "Hz", ge=1, le=1000)
+    odometry_drift: float = _setting(
+        1.0, "scale of all wheel errors (unequal wheels, slip); 0: perfect odometry", ge=0, le=100
+    )
+
+
+class G2ReconConfig(_Model):
+    """All stages of a run."""
+
+    localization: LocalizationConfig = LocalizationConfig()
+    registration: RegistrationConfig = RegistrationConfig()
+    reconstruction: ReconstructionConfig = ReconstructionConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One field of a model as the command line, a YAML file and a ROS parameter need it."""
+
+    name: str
+    type: type
+    default: Any
+    meaning: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[str, ...]
+
+    def describe(self) -> str:
+        """One line: meaning, unit and range."""
+        unit = f" [{self.unit}]" if self.unit else ""
+        limits = (
+            f" ({self.minimum:g} to {self.maximum:g})" if self.minimum is not None and self.maximum is not None else ""
+        )
+        return f"{self.meaning}{unit}{limits}"
+
+
+def settings(model: type[BaseModel]) -> Iterator[Setting]:
+    """The settings of one stage's model, in order."""
+    for name, field in model.model_fields.items():
+        choices = tuple(get_args(field.annotation)) if get_origin(field.annotation) is Literal else ()
+        kind = str if choices else tuple if get_origin(field.annotation) is tuple else field.annotation
+        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+        yield Setting(
+            name=name,
+            type=kind or str,
+            default=field.default,
+            meaning=field.description or "",
+            unit=str(extra.get("unit", "")),
+            minimum=_limit(field, "ge"),
+            maximum=_limit(field, "le"),
+            choices=choices,
+        )
+
+
+def _limit(field: FieldInfo, which: str) -> float | None:
+    return next((getattr(item, which) for item in field.metadata if hasattr(item, which)), None)
+
+
+def make(model: type[Model], values: Mapping[str, Any], *, where: object = None) -> Model:
+    """A model from plain values. Raises ConfigError that names each wrong field, its value and what is allowed."""
+    try:
+        return model.model_validate(dict(values))
+    except ValidationError as error:
+        problems = [
+            f"{'.'.join(str(part) for part in problem['loc']) or model.__name__}: {problem['msg']}"
+            + (f", got {problem['input']!r}" if problem["loc"] and problem["type"] != "extra_forbidden" else "")
+            for problem in error.errors()
+        ]
+        raise ConfigError("; ".join(problems), where=where) from None
+
+
+def load(path: str | Path) -> G2ReconConfig:
+    """The settings of a run from a YAML file as `dump` writes it; what is not in it keeps its default.
+
+    Raises ConfigError if the file cannot be read, is no YAML mapping, or holds an unknown or wrong setting.
+    """
+    try:
+        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(error.strerror or "cannot be read", where=path) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"is no YAML: {error}", where=path) from error
+    if values is None:
+        values = {}
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        raise ConfigError("holds no settings", where=path, advice="expected sections such as 'localization:'")
+    return make(G2ReconConfig, values, where=path)
+
+
+def dump(config: BaseModel, *, indent: int = 0) -> str:
+    """Commented YAML of a config and the configs in it: each setting under its meaning, unit and range."""
+    lines = []
+    described = {setting.name: setting for setting in settings(type(config))}
+    for name in type(config).model_fields:
+        value = getattr(config, name)
+        if isinstance(value, BaseModel):
+            lines += [
+                f"# {(type(value).__doc__ or '').strip()}",
+                f"{name}:",
+                dump(value, indent=indent + 2).rstrip("\n"),
+                "",
+            ]
+        else:
+            plain = list(value) if isinstance(value, tuple) else value
+            text = yaml.safe_dump(plain, default_flow_style=True).removesuffix("\n").removesuffix("\n...")
+            lines += [" " * indent + f"# {described[name].describe()}", " " * indent + f"{name}: {text}"]
+    return "\n".join(lines).rstrip("\n") + "\n"

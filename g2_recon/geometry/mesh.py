@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""What reconstruction makes: a wire mesh of neurons and a mesh of triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class WireMesh:
+    """The joined self-organizing map: neurons and the connections between them.
+
+    vertices: (V, 3) metres, the neurons. edges: (E, 2) vertex indices. submap: (V,) the submap of each neuron.
+    join: (E,) true where an edge joins two submaps.
+    """
+
+    vertices: NDArray[np.float64]
+    edges: NDArray[np.int64]
+    submap: NDArray[np.int64]
+    join: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Triangles. vertices: (V, 3) metres. faces: (F, 3) vertex indices, counterclockwise seen from the free side.
+
+    submap: (F,) the submap that each face belongs to.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    submap: NDArray[np.int64]
+
+    def face_normals(self) -> NDArray[np.float64]:
+        """Unit normals (F, 3); zero for a face without area."""
+        first, second, third = (self.vertices[self.faces[:, corner]] for corner in range(3))
+        normal = np.cross(second - first, third - first)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        return normal / np.where(length > 0, length, 1.0)
