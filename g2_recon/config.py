@@ -42,6 +42,19 @@ class _Model(BaseModel):
     )
 
 
+class RecordingConfig(_Model):
+    """Where in a bag the scans and the odometry are; a leading slash does not matter."""
+
+    scan_topic: str = _setting(
+        "scan", "LaserScan of the horizontal laser; if absent, the only LaserScan topic there is"
+    )
+    scan_vertical_topic: str = _setting("scan_vertical", "LaserScan of the vertical laser")
+    scan_tilt_topic: str = _setting("scan_tilt", "LaserScan of the laser that sweeps while the robot stands")
+    joint_topic: str = _setting("joint_states", "JointState with the angle of the sweeping laser")
+    odom_topic: str = _setting("odom", "Odometry of the wheels; if absent, the only Odometry topic there is")
+    base_frame: str = _setting("base_link", "frame of the robot that the lasers are mounted on")
+
+
 class LocalizationConfig(_Model):
     """Scan-to-map ICP with the horizontal laser."""
 
@@ -168,6 +181,7 @@ class SimulationConfig(_Model):
 class G2ReconConfig(_Model):
     """All stages of a run."""
 
+    recording: RecordingConfig = RecordingConfig()
     localization: LocalizationConfig = LocalizationConfig()
     registration: RegistrationConfig = RegistrationConfig()
     reconstruction: ReconstructionConfig = ReconstructionConfig()
@@ -199,11 +213,12 @@ def settings(model: type[BaseModel]) -> Iterator[Setting]:
     """The settings of one stage's model, in order."""
     for name, field in model.model_fields.items():
         choices = tuple(get_args(field.annotation)) if get_origin(field.annotation) is Literal else ()
-        kind = str if choices else tuple if get_origin(field.annotation) is tuple else field.annotation
+        annotation: Any = field.annotation
+        kind = str if choices else get_origin(annotation) or annotation
         extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
         yield Setting(
             name=name,
-            type=kind or str,
+            type=kind,
             default=field.default,
             meaning=field.description or "",
             unit=str(extra.get("unit", "")),
