@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from g2_recon.errors import InputError
+from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.recording.clouds import read_cloud
+from g2_recon.recording.meshes import MESH_ENDINGS, read_mesh, write_mesh, write_wire_mesh
+
+TETRAHEDRON = Mesh(
+    vertices=np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+    submap=np.array([0, 0, 7, 7]),
+)
+WIRE = WireMesh(
+    vertices=np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0.1]]),
+    edges=np.array([[0, 1], [1, 2]]),
+    submap=np.array([0, 0, 1]),
+    join=np.array([False, True]),
+)
+
+
+@pytest.mark.parametrize("ending", MESH_ENDINGS)
+def test_triangles_come_back(tmp_path: Path, ending: str) -> None:
+    write_mesh(tmp_path / f"m{ending}", TETRAHEDRON)
+    vertices, faces = read_mesh(tmp_path / f"m{ending}")
+    np.testing.assert_array_equal(vertices[faces], TETRAHEDRON.vertices[TETRAHEDRON.faces])
+
+
+@pytest.mark.parametrize("ending", MESH_ENDINGS)
+def test_a_closed_surface_stays_closed(tmp_path: Path, ending: str) -> None:
+    write_mesh(tmp_path / f"m{ending}", TETRAHEDRON)
+    vertices, faces = read_mesh(tmp_path / f"m{ending}")
+    assert trimesh.Trimesh(vertices, faces, process=False).is_watertight
+
+
+def test_a_ply_keeps_the_submap_of_each_face(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    raw = trimesh.load_mesh(tmp_path / "m.ply", process=False).metadata["_ply_raw"]
+    assert raw["face"]["data"]["submap"].tolist() == [0, 0, 7, 7]
+
+
+def test_the_ending_may_be_in_capitals(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.STL", TETRAHEDRON)
+    assert len(read_mesh(tmp_path / "m.STL")[1]) == 4
+
+
+def test_an_unknown_ending_is_told_with_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\.ply, \.obj, \.stl, \.glb"):
+        write_mesh(tmp_path / "m.doc", TETRAHEDRON)
+
+
+def test_a_face_without_its_vertex_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not there"):
+        write_mesh(tmp_path / "m.ply", Mesh(np.zeros((2, 3)), np.array([[0, 1, 2]]), np.zeros(1, int)))
+
+
+def test_a_cloud_is_no_mesh(tmp_path: Path) -> None:
+    write_wire_mesh(tmp_path / "w.ply", WIRE)
+    with pytest.raises(InputError):
+        read_mesh(tmp_path / "w.ply")
+
+
+@pytest.mark.parametrize("ending", MESH_ENDINGS)
+def test_a_damaged_mesh_is_read_or_told(tmp_path: Path, ending: str) -> None:
+    file = tmp_path / f"m{ending}"
+    write_mesh(file, TETRAHEDRON)
+    content = file.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        damaged = bytearray(content[: rng.integers(1, len(content) + 1)])
+        damaged[rng.integers(len(damaged))] = rng.integers(256)
+        file.write_bytes(damaged)
+        try:
+            vertices, faces = read_mesh(file)
+        except InputError as error:
+            assert "\n" not in str(error)
+        else:
+            assert faces.max() < len(vertices)
+
+
+def test_a_wire_mesh_has_the_connections_as_edges(tmp_path: Path) -> None:
+    write_wire_mesh(tmp_path / "w.ply", WIRE)
+    content = (tmp_path / "w.ply").read_bytes()
+    assert np.frombuffer(content[-16:], "<i4").reshape(2, 2).tolist() == WIRE.edges.tolist()
+
+
+def test_a_wire_mesh_loads_elsewhere(tmp_path: Path) -> None:
+    write_wire_mesh(tmp_path / "w.ply", WIRE)
+    np.testing.assert_allclose(trimesh.load(tmp_path / "w.ply").vertices, WIRE.vertices)
+
+
+def test_the_neurons_of_a_wire_mesh_are_a_cloud(tmp_path: Path) -> None:
+    write_wire_mesh(tmp_path / "w.ply", WIRE)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "w.ply").points, WIRE.vertices)
+
+
+def test_a_wire_mesh_is_only_written_as_ply(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="PLY"):
+        write_wire_mesh(tmp_path / "w.obj", WIRE)
