@@ -74,14 +74,14 @@ class LocalizationConfig(_Model):
     )
     map_spacing: float = _setting(0.05, "a point enters the map where it has no point this near", "m", ge=0.001, le=1)
     max_correspondence: float = _setting(
-        0.6, "farthest map point that a beam is paired with in the first iteration", "m", ge=0.05, le=5
+        0.3, "farthest map point that a beam is paired with in the first iteration", "m", ge=0.05, le=5
     )
     min_correspondence: float = _setting(
         0.12, "the same in the last iterations, so that what does not fit is rejected", "m", ge=0.01, le=5
     )
     max_iterations: int = _setting(25, "ICP iterations at most for one scan", ge=1, le=500)
     min_inliers: float = _setting(
-        0.3,
+        0.4,
         "a match with a smaller share of paired beams is rejected; the pose then follows the first guess",
         ge=0,
         le=1,
@@ -106,7 +106,11 @@ class RegistrationConfig(_Model):
     min_range: float = _setting(0.2, "nearer returns are the robot itself", "m", ge=0, le=10)
     max_range: float = _setting(30.0, "farther returns are not used", "m", ge=0.5, le=200)
     max_wait: float = _setting(
-        2.0, "a scan that has no pose when poses are this much newer is dropped and counted", "s", ge=0, le=60
+        2.0,
+        "a scan for which no pose has come when scans this much newer have is dropped and counted",
+        "s",
+        ge=0,
+        le=60,
     )
     max_gap: float = _setting(0.5, "poses farther apart in time are not interpolated between", "s", ge=0.001, le=60)
 
@@ -130,17 +134,29 @@ class ReconstructionConfig(_Model):
         ge=1,
         le=100_000,
     )
+    flatness: float = _setting(
+        1.0, "mode solid: how far apart a right angle between two surfaces moves them in clustering", "m", ge=0, le=100
+    )
+    cluster_gap: float = _setting(
+        0.4, "parts of a cluster farther apart than this become clusters of their own", "m", ge=0.001, le=1000
+    )
     rows: int = _setting(10, "neurons along one side of each lattice", ge=2, le=200)
     columns: int = _setting(5, "neurons along the other side of each lattice", ge=2, le=200)
     passes: int = _setting(10_000, "mode paper: presentations of all data to each map", ge=1, le=1_000_000)
     epochs: int = _setting(30, "mode solid: batch updates of each map", ge=1, le=100_000)
+    neighborhood_end: float = _setting(
+        0.35, "mode solid: final width of the neighborhood, in lattice steps; in mode paper it is 1", ge=0.1, le=10
+    )
     learning_rate_start: float = _setting(0.5, "mode paper: learning rate at the start", ge=0, le=1)
     learning_rate_end: float = _setting(0.005, "mode paper: learning rate at the end", ge=0, le=1)
     theta: float = _setting(
         1.8, "border neurons are joined when nearer than this many mean distances to lattice neighbors", ge=0, le=10
     )
     border_width: int = _setting(
-        1, "neurons up to this many steps from a joined border neuron are re-optimized; 0: none", ge=0, le=100
+        2,
+        "rings of neurons that are re-optimized, counted from the joined border neurons inwards; 0: none",
+        ge=0,
+        le=100,
     )
     border_passes: int = _setting(20, "passes over the border data in the re-optimization", ge=1, le=100_000)
     min_sensor_distance: float = _setting(
@@ -163,15 +179,19 @@ class SimulationConfig(_Model):
         "orthogonal",
         "orthogonal: a horizontal and a vertical laser while driving; sweeping: one that tilts while the robot stands",
     )
-    max_speed: float = _setting(0.5, "top speed of the robot", "m/s", ge=0.01, le=5)
-    max_turn_rate: float = _setting(0.6, "top turn rate of the robot", "rad/s", ge=0.01, le=5)
+    max_speed: float = _setting(0.5, "top speed of the robot", "m/s", ge=0.05, le=5)
+    max_turn_rate: float = _setting(0.8, "top turn rate of the robot", "rad/s", ge=0.05, le=5)
     acceleration: float = _setting(0.5, "acceleration of the robot", "m/s^2", ge=0.01, le=10)
     range_noise: float = _setting(0.01, "standard deviation of a range", "m", ge=0, le=1)
     beam_spacing: Literal["1", "0.5"] = _setting("1", "beam spacing in deg: 1 at 75 Hz or 0.5 at 37.5 Hz", "deg")
-    measuring_mode: Literal["8", "80"] = _setting("80", "the laser sees 8 m or 80 m far", "m")
+    measuring_mode: Literal["8", "80"] = _setting(
+        "8", "how far the laser sees: 8 with a resolution of 1 mm or 80 with one of 1 cm", "m"
+    )
     mixed_pixels: bool = _setting(True, "ranges between near and far where a beam is split by an edge")
-    horizontal_every: int = _setting(3, "the horizontal laser keeps one scan in this many", ge=1, le=1000)
-    vertical_every: int = _setting(16, "the vertical laser keeps one scan in this many", ge=1, le=1000)
+    horizontal_every: int = _setting(
+        3, "the horizontal or the sweeping laser keeps one scan in this many", ge=1, le=1000
+    )
+    vertical_every: int = _setting(26, "the vertical laser keeps one scan in this many", ge=1, le=1000)
     odometry_rate: float = _setting(25.0, "odometry messages a second", "Hz", ge=1, le=1000)
     odometry_drift: float = _setting(
         1.0, "scale of all wheel errors (unequal wheels, slip); 0: perfect odometry", ge=0, le=100

@@ -58,6 +58,11 @@ class Trajectory:
         """Length of the path in metres."""
         return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
 
+    def resampled(self, period: float) -> Trajectory:
+        """The trajectory at every `period` seconds from its first stamp on, interpolated. It must not be empty."""
+        stamps = np.arange(self.stamps.min(), self.stamps.max(), period)
+        return Trajectory.from_matrices(stamps, self.interpolate(stamps)[0])
+
     def interpolate(
         self, stamps: ArrayLike, *, max_gap: float = np.inf
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
