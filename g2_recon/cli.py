@@ -1,0 +1,389 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""The command g2-recon."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import sysconfig
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as RichProgress
+from rich.table import Table
+
+import g2_recon
+from g2_recon import config, pictures, pipeline
+from g2_recon.config import (
+    G2ReconConfig,
+    LocalizationConfig,
+    ReconstructionConfig,
+    RecordingConfig,
+    SimulationConfig,
+)
+from g2_recon.errors import G2ReconError, InputError
+from g2_recon.evaluation.relations import read_relations, score_relations
+from g2_recon.evaluation.trajectory_error import mean_position_error
+from g2_recon.reconstruction.reconstructor import Reconstruction, reconstruct
+from g2_recon.recording.bags import write_bag
+from g2_recon.recording.clouds import read_cloud
+from g2_recon.recording.files import write_arrays
+from g2_recon.recording.meshes import MESH_ENDINGS, write_mesh, write_wire_mesh
+from g2_recon.recording.recordings import read_recording
+from g2_recon.recording.trajectories import read_tum, write_tum
+from g2_recon.simulation.simulator import simulate
+
+BUNDLED_RECORDING = "first_floor"
+TRUTH_TRAJECTORY = Path("truth") / "trajectory.tum"
+TRUTH_PERIOD_S = 0.04
+TRUTH_SURFACES = Path("truth") / "surfaces.npz"
+
+_log = logging.getLogger(__name__)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the exit status is 0 on success, 1 on bad input, 2 on bad usage."""
+    parser = build_parser()
+    options = parser.parse_args(arguments)
+    console = Console(stderr=True)
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(options.verbose, 2)]
+    handler = RichHandler(console=console, show_path=False, show_time=False)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler], force=True)
+    logging.getLogger("g2_recon").setLevel(level)
+    try:
+        options.command(options, console)
+    except G2ReconError as error:
+        print(f"g2-recon: {error}", file=sys.stderr)  # noqa: T201 - this is the one line that a user gets
+        return 1
+    except KeyboardInterrupt:
+        print("g2-recon: interrupted", file=sys.stderr)  # noqa: T201
+        return 130
+    return 0
+
+
+# The commands
+
+
+def run_demo(options: argparse.Namespace, console: Console) -> None:
+    """Run the whole way on the bundled recording."""
+    _run(bundled_recording(), options.output, G2ReconConfig(), console)
+
+
+def run_recording(options: argparse.Namespace, console: Console) -> None:
+    """Run the whole way on a recording."""
+    settings = config.load(options.config) if options.config else G2ReconConfig()
+    folder = options.output or Path("out") / _stem(options.recording)
+    _run(options.recording, folder, _overridden(settings, options), console)
+
+
+def _run(recording_path: Path, folder: Path, settings: G2ReconConfig, console: Console) -> None:
+    with stages(console) as progress:
+        recording = read_recording(recording_path, settings.recording, progress=progress)
+        result = pipeline.run(recording, settings, progress=progress)
+        summary = pipeline.summarize(result)
+        truth = recording_path / TRUTH_TRAJECTORY
+        if truth.exists():
+            error = mean_position_error(result.localization.trajectory, read_tum(truth))
+            summary["trajectory_error_m"] = round(error, 5)
+        summary["seconds"] = {name: round(seconds, 2) for name, seconds in progress.seconds.items()}
+        pipeline.write_run(result, settings, folder, summary=summary, progress=progress)
+    _print_summary(summary, progress, folder, console)
+
+
+def run_localize(options: argparse.Namespace, console: Console) -> None:
+    """Localize a recording's horizontal scans."""
+    settings = config.make(LocalizationConfig, _given(options, "localization"))
+    topics = config.make(RecordingConfig, _given(options, "recording"))
+    target = options.output or Path(f"{_stem(options.recording)}.tum")
+    with stages(console) as progress:
+        recording = read_recording(options.recording, topics, progress=progress)
+        result = pipeline.localize(recording, settings, progress=progress)
+        write_tum(target, result.trajectory)
+        plan = target.with_suffix(".png")
+        pictures.draw_floor_plan(plan, result.point_map, result.trajectory)
+        progress("writing", 1, 1)
+    rows: dict[str, Any] = {
+        "scans": f"{len(result.trajectory):,}",
+        "scans a second": f"{len(result.trajectory) / max(progress.seconds['localization'], 1e-9):,.0f}",
+        "way": f"{result.trajectory.length():.1f} m",
+        "scans that did not match": result.unmatched,
+        **{f"dropped: {reason}": count for reason, count in recording.drops.items()},
+    }
+    if options.relations:
+        score = score_relations(read_relations(options.relations), result.trajectory)
+        rows["relations"] = f"{score.relations:,} ({score.missed:,} missed)"
+        rows["translation error"] = f"{score.translation_mean:.4f} +- {score.translation_std:.4f} m"
+        rows["rotation error"] = f"{score.rotation_mean:.3f} +- {score.rotation_std:.3f} deg"
+    _print_table("localized", rows, progress, console)
+    console.print(f"trajectory: {target}\nfloor plan: {plan}", highlight=False)
+
+
+def run_reconstruct(options: argparse.Namespace, console: Console) -> None:
+    """Reconstruct a mesh from a cloud."""
+    settings = config.make(ReconstructionConfig, _given(options, "reconstruction"))
+    target = options.output or Path(f"{_stem(options.cloud)}_mesh.ply")
+    if target.suffix.lower() not in MESH_ENDINGS:
+        raise InputError("unknown kind of mesh", where=target, advice=f"use one of {' '.join(MESH_ENDINGS)}")
+    wire_target = target.with_name(f"{target.stem}_wire.ply")
+    picture = target.with_suffix(".png")
+    with stages(console) as progress:
+        cloud = read_cloud(options.cloud)
+        progress("reading", 1, 1)
+        result = reconstruct(cloud, settings, progress=progress)
+        write_mesh(target, result.mesh)
+        write_wire_mesh(wire_target, result.wire_mesh)
+        pictures.draw_mesh(picture, result.mesh, result.wire_mesh)
+        progress("writing", 1, 1)
+    _print_table("reconstructed", _reconstruction_rows(result), progress, console)
+    console.print(f"mesh: {target}\nwire mesh: {wire_target}\npicture: {picture}", highlight=False)
+
+
+def run_import(options: argparse.Namespace, console: Console) -> None:
+    """Convert a CARMEN log to a rosbag2."""
+    with stages(console) as progress:
+        recording = read_recording(options.recording, progress=progress)
+        write_bag(
+            options.output, recording, description={"imported from": options.recording.name}, overwrite=options.force
+        )
+        progress("writing", 1, 1)
+    rows = {"scans": len(recording.scans), "odometry": len(recording.odometry), **recording.drops}
+    _print_table("imported", rows, progress, console)
+    console.print(f"bag: {options.output}", highlight=False)
+
+
+def run_simulate(options: argparse.Namespace, console: Console) -> None:
+    """Simulate a drive and write it as a bag, with the truth beside it."""
+    settings = config.make(SimulationConfig, _given(options, "simulation"))
+    with stages(console) as progress:
+        simulation = simulate(settings, progress=progress)
+        description = {
+            "simulated": "yes: no robot has driven here; the truth is in the folder truth",
+            "made by": f"g2-recon {g2_recon.__version__} simulate",
+            "settings": settings.model_dump_json(),
+        }
+        write_bag(options.output, simulation.recording, description=description, overwrite=options.force)
+        write_tum(options.output / TRUTH_TRAJECTORY, simulation.trajectory.resampled(TRUTH_PERIOD_S))
+        write_arrays(options.output / TRUTH_SURFACES, truth_vertices=simulation.vertices, truth_faces=simulation.faces)
+        progress("writing", 1, 1)
+    recording = simulation.recording
+    rows = {
+        "horizontal scans": len(recording.scans),
+        "vertical scans": len(recording.scans_vertical),
+        "vertical points": f"{sum(int(scan.valid().sum()) for scan in recording.scans_vertical):,}",
+        "tilted scans": len(recording.scans_tilt),
+        "way": f"{simulation.trajectory.length():.1f} m",
+    }
+    _print_table("simulated", rows, progress, console)
+    console.print(f"bag: {options.output}", highlight=False)
+
+
+def bundled_recording() -> Path:
+    """The recording that comes with the package: beside the sources, or where an install puts shared files."""
+    shared = [Path(prefix) / "share" / "g2_recon" for prefix in _install_prefixes()]
+    candidates = [folder / "bags" / BUNDLED_RECORDING for folder in [Path(g2_recon.__file__).parents[1], *shared]]
+    for candidate in candidates:
+        if candidate.exists():
+            return candidate
+    raise InputError("the bundled recording is not installed", advice=f"looked for {', '.join(map(str, candidates))}")
+
+
+def _install_prefixes() -> Iterator[str]:
+    yield sysconfig.get_path("data")
+    # colcon installs to PREFIX/lib/pythonX.Y/site-packages
+    yield from map(str, Path(g2_recon.__file__).parents[2:6])
+
+
+# What a user sees
+
+
+class StageProgress:
+    """A progress bar a stage, and the seconds that each took."""
+
+    def __init__(self, bars: RichProgress) -> None:
+        self._bars = bars
+        self._tasks: dict[str, TaskID] = {}
+        self._since = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Move the bar of a stage; a stage starts when the one before it was last heard of."""
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._since
+        self._since = now
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(stage, total=total)
+        self._bars.update(self._tasks[stage], completed=done, total=total)
+
+
+@contextmanager
+def stages(console: Console) -> Iterator[StageProgress]:
+    """Progress bars on standard error while the block runs."""
+    columns = (
+        TextColumn("{task.description:<16}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with RichProgress(*columns, console=console) as bars:
+        yield StageProgress(bars)
+
+
+def _print_summary(summary: Mapping[str, Any], progress: StageProgress, folder: Path, console: Console) -> None:
+    rows = {
+        "points": f"{summary['points']:,}",
+        "clusters": summary["clusters"],
+        "neurons": f"{summary['neurons']:,}",
+        "joins": f"{summary['joins']:,}",
+        "faces": f"{summary['faces']:,}",
+        "way": f"{summary['path_length_m']:.1f} m",
+    }
+    if "trajectory_error_m" in summary:
+        rows["mean trajectory error"] = f"{100 * summary['trajectory_error_m']:.2f} cm"
+    rows |= {f"dropped: {reason}": f"{count:,}" for reason, count in summary["dropped"].items()}
+    _print_table("done", rows, progress, console)
+    console.print(f"files: {folder}", highlight=False)
+
+
+def _reconstruction_rows(result: Reconstruction) -> dict[str, Any]:
+    return {
+        "points": f"{result.points:,}",
+        "clusters": result.clusters,
+        "neurons": f"{len(result.wire_mesh.vertices):,}",
+        "joins": f"{int(result.wire_mesh.join.sum()):,}",
+        "faces": f"{len(result.mesh.faces):,}",
+        "quantization error": f"{100 * result.quantization_error:.2f} cm",
+        **{f"left out: {reason}": f"{count:,}" for reason, count in result.left_out.items()},
+    }
+
+
+def _print_table(title: str, rows: Mapping[str, Any], progress: StageProgress, console: Console) -> None:
+    table = Table(title=title, show_header=False, title_justify="left")
+    table.add_column()
+    table.add_column(justify="right")
+    for name, value in rows.items():
+        table.add_row(name, str(value))
+    table.add_section()
+    for stage, seconds in progress.seconds.items():
+        table.add_row(stage, f"{seconds:.2f} s")
+    table.add_row("in all", f"{sum(progress.seconds.values()):.2f} s")
+    console.print(table)
+
+
+# The command line, made from the settings
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; the options of a stage come from its config model."""
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("-v", "--verbose", action="count", default=0, help="log more; twice: everything")
+    parser = argparse.ArgumentParser(prog="g2-recon", description=g2_recon.__doc__)
+    parser.add_argument("--version", action="version", version=f"g2-recon {g2_recon.__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, command: Any, text: str, details: str = "") -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, parents=[common], help=text, description=details or text)
+        sub.set_defaults(command=command)
+        return sub
+
+    demo = add("demo", run_demo, "the whole way on the recording that comes with g2-recon")
+    demo.add_argument("-o", "--output", metavar="DIR", type=Path, default=Path("out/demo"), help="default: %(default)s")
+
+    run = add("run", run_recording, "the whole way on one recording: trajectory, cloud, meshes, pictures")
+    run.add_argument(
+        "recording", metavar="BAG", type=Path, help="a ROS 1 or ROS 2 bag with a horizontal and a vertical laser"
+    )
+    run.add_argument("-o", "--output", metavar="DIR", type=Path, help="folder for all results; default: out/NAME")
+    run.add_argument("--config", metavar="FILE", type=Path, help="settings as YAML, as in a result's config.yaml")
+    for stage in G2ReconConfig.model_fields:
+        model = type(getattr(G2ReconConfig(), stage))
+        _add_settings(run, model, stage, prefix=f"{stage}.")
+
+    localize = add("localize", run_localize, "horizontal scans to a trajectory (TUM) and a floor plan (PNG)")
+    localize.add_argument("recording", metavar="LOG", type=Path, help="CARMEN log (.log .clf, also .gz .bz2) or bag")
+    localize.add_argument(
+        "-o", "--output", metavar="TUM", type=Path, help="default: NAME.tum; the floor plan beside it"
+    )
+    localize.add_argument("--relations", metavar="FILE", type=Path, help="score the trajectory by true relations")
+    _add_settings(localize, LocalizationConfig, "localization")
+    _add_settings(localize, RecordingConfig, "recording")
+
+    recon = add("reconstruct", run_reconstruct, "a cloud to a mesh")
+    recon.add_argument("cloud", metavar="CLOUD", type=Path, help="PLY, PCD, XYZ, CSV or NPZ, in metres")
+    recon.add_argument(
+        "-o", "--output", metavar="MESH", type=Path, help=f"{' '.join(MESH_ENDINGS)}; default: NAME_mesh.ply"
+    )
+    _add_settings(recon, ReconstructionConfig, "reconstruction")
+
+    importer = add("import", run_import, "a CARMEN log to a rosbag2 (MCAP) with LaserScan and Odometry")
+    importer.add_argument("recording", metavar="LOG", type=Path, help="CARMEN log (.log .clf, also .gz .bz2)")
+    importer.add_argument("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
+    importer.add_argument("--force", action="store_true", help="replace what is there")
+
+    simulator = add("simulate", run_simulate, "a simulated robot in a simulated building, with the truth beside it")
+    simulator.add_argument(
+        "-o",
+        "--output",
+        metavar="BAG",
+        type=Path,
+        default=Path("out/simulated"),
+        help="the folder to make; default: %(default)s",
+    )
+    simulator.add_argument("--force", action="store_true", help="replace what is there")
+    _add_settings(simulator, SimulationConfig, "simulation")
+    return parser
+
+
+def _add_settings(parser: argparse.ArgumentParser, model: type[BaseModel], stage: str, *, prefix: str = "") -> None:
+    """An option for each setting of a stage; `prefix` tells those of several stages apart."""
+    group = parser.add_argument_group(f"{stage} settings", (model.__doc__ or "").strip())
+    for setting in config.settings(model):
+        name = setting.name.replace("_", "-")
+        default = " ".join(map(str, setting.default)) if isinstance(setting.default, tuple) else setting.default
+        shown = f"; default: {default}" if default not in ("", None) else ""
+        extra: dict[str, Any] = {"metavar": (setting.unit.split(" ")[0] or setting.type.__name__).upper()}
+        if setting.choices:
+            extra = {"choices": setting.choices}
+        elif setting.type is bool:
+            extra = {"action": argparse.BooleanOptionalAction}
+        elif setting.type is tuple:
+            extra |= {"nargs": 6, "type": float, "metavar": ("X", "Y", "Z", "ROLL", "PITCH", "YAW")}
+        else:
+            extra |= {"type": setting.type}
+        group.add_argument(
+            f"--{prefix}{name}",
+            dest=f"{stage}.{setting.name}",
+            default=argparse.SUPPRESS,
+            help=(setting.describe() + shown).replace("%", "%%"),
+            **extra,
+        )
+
+
+def _given(options: argparse.Namespace, stage: str) -> dict[str, Any]:
+    """The settings of a stage that were given on the command line."""
+    prefix = f"{stage}."
+    return {name.removeprefix(prefix): value for name, value in vars(options).items() if name.startswith(prefix)}
+
+
+def _overridden(settings: G2ReconConfig, options: argparse.Namespace) -> G2ReconConfig:
+    values = settings.model_dump()
+    for stage in values:
+        values[stage] |= _given(options, stage)
+    return config.make(G2ReconConfig, values)
+
+
+def _stem(path: Path) -> str:
+    """The name of a recording or cloud without its endings, such as `aces` of `aces.clf.bz2`."""
+    return path.resolve().name.split(".")[0] or "recording"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

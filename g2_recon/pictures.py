@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of what was made: a floor plan and views of meshes, as PNG files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from numpy.typing import NDArray
+
+from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.recording.files import atomic_write
+
+Float = NDArray[np.float64]
+
+_WIRE, _JOIN, _PATH = "#24476b", "#d1495b", "viridis"
+# Light from above the left shoulder of the viewer, and how bright a face away from it still is.
+_LIGHT = np.array([-0.35, -0.5, 0.79])
+_AMBIENT = 0.35
+# A face whose normal points down this much is a ceiling.
+_CEILING = -0.7
+
+
+def draw_floor_plan(path: str | Path, point_map: Float, trajectory: Trajectory) -> None:
+    """The point map (N, 2) from above with the way of the robot in it, colored by time; axes in metres."""
+    size = np.maximum(np.ptp(np.vstack([point_map, trajectory.positions[:, :2]]), axis=0), 1.0)
+    figure = Figure(figsize=(10, float(np.clip(10 * size[1] / size[0], 4, 16))), layout="constrained")
+    axes = figure.add_subplot()
+    # A dot stands for a few centimetres of wall, however large the building is.
+    axes.scatter(
+        point_map[:, 0], point_map[:, 1], s=float(np.clip(4e3 / size.max() ** 2, 0.3, 6)), c="black", linewidths=0
+    )
+    way = trajectory.positions[:, :2]
+    if len(way) > 1:
+        lines = LineCollection(
+            list(np.stack([way[:-1], way[1:]], axis=1)), array=np.arange(len(way) - 1), cmap=_PATH, lw=1.2
+        )
+        axes.add_collection(lines)
+    if len(way):
+        axes.plot(*way[0], "o", color="tab:green", label="start")
+        axes.plot(*way[-1], "s", color="tab:red", label="end")
+        axes.legend(loc="upper right")
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.set_title(f"{len(way)} scans, {trajectory.length():.1f} m")
+    _save(figure, path)
+
+
+def draw_mesh(path: str | Path, mesh: Mesh, wire: WireMesh) -> None:
+    """Mesh and wire mesh from above, side by side.
+
+    Faces that look down are left out, so that one looks into a building through its ceiling.
+    """
+    figure = Figure(figsize=(18, 8), layout="constrained")
+    _draw_faces(
+        figure.add_subplot(1, 2, 1, projection="3d"), mesh, title=f"mesh: {len(mesh.faces)} faces, ceilings cut away"
+    )
+    title = f"wire mesh: {len(wire.vertices)} neurons, {int(wire.join.sum())} joins (red)"
+    _draw_wire(figure.add_subplot(1, 2, 2, projection="3d"), wire, title=title)
+    _save(figure, path)
+
+
+def draw_wire_meshes(path: str | Path, wires: Sequence[WireMesh], titles: Sequence[str]) -> None:
+    """Wire meshes side by side, each under its title."""
+    figure = Figure(figsize=(8 * len(wires), 6), layout="constrained")
+    for number, (wire, title) in enumerate(zip(wires, titles, strict=True), start=1):
+        axes = figure.add_subplot(1, len(wires), number, projection="3d")
+        _draw_wire(axes, wire, title=title)
+        axes.view_init(elev=22, azim=-62)
+    _save(figure, path)
+
+
+def _draw_faces(axes, mesh: Mesh, *, title: str) -> None:  # type: ignore[no-untyped-def]
+    _frame(axes, mesh.vertices, title)
+    normals = mesh.face_normals()
+    shown = normals[:, 2] > _CEILING
+    if not shown.any():
+        return
+    shade = _AMBIENT + (1 - _AMBIENT) * np.abs(normals[shown] @ _LIGHT)
+    height = mesh.vertices[mesh.faces[shown], 2].mean(axis=1)
+    low, high = height.min(), height.max()
+    share = ((height - low) / max(high - low, 1e-9))[:, None]
+    color = (1 - share) * np.array([0.55, 0.66, 0.78]) + share * np.array([0.93, 0.89, 0.80])
+    triangles = Poly3DCollection(mesh.vertices[mesh.faces[shown]], facecolors=color * shade[:, None], linewidths=0)
+    axes.add_collection3d(triangles)
+
+
+def _draw_wire(axes, wire: WireMesh, *, title: str) -> None:  # type: ignore[no-untyped-def]
+    _frame(axes, wire.vertices, title)
+    for which, color in ((~wire.join, _WIRE), (wire.join, _JOIN)):
+        if which.any():
+            axes.add_collection3d(Line3DCollection(wire.vertices[wire.edges[which]], colors=color, linewidths=0.4))
+
+
+def _frame(axes, vertices: Float, title: str) -> None:  # type: ignore[no-untyped-def]
+    axes.set_proj_type("ortho")
+    axes.view_init(elev=50, azim=-65)
+    # A few stray returns far outside must not make the building small.
+    low, high = np.quantile(vertices, [0.005, 0.995], axis=0) if len(vertices) else np.array([np.zeros(3), np.ones(3)])
+    for set_limits, bottom, top in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, strict=True):
+        set_limits(bottom - 0.01, top + 0.01)
+    axes.set_aspect("equal")
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=title)
+
+
+def _save(figure: Figure, path: str | Path) -> None:
+    FigureCanvasAgg(figure)
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")

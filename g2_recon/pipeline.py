@@ -1,0 +1,185 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""The way of the data for recordings: localization, registration, reconstruction, one plain call each."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g2_recon import __version__, config, pictures
+from g2_recon.config import G2ReconConfig, LocalizationConfig, RegistrationConfig
+from g2_recon.errors import InputError
+from g2_recon.geometry import se2, se3
+from g2_recon.geometry.cloud import Cloud, concatenate
+from g2_recon.geometry.recording import Recording
+from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.localization.localizer import Localizer
+from g2_recon.progress import Progress, silent
+from g2_recon.reconstruction.reconstructor import Reconstruction, reconstruct
+from g2_recon.recording.clouds import write_cloud
+from g2_recon.recording.files import write_text
+from g2_recon.recording.meshes import write_mesh, write_wire_mesh
+from g2_recon.recording.trajectories import write_tum
+from g2_recon.registration.registrar import Registrar
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Localization:
+    """trajectory: T_map_base of each horizontal scan. point_map: (N, 2). keyframes, unmatched: how many scans."""
+
+    trajectory: Trajectory
+    point_map: Float
+    keyframes: int
+    unmatched: int
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """cloud: the vertical scans in the map frame. scans: how many were placed. drops: how many were not, by reason."""
+
+    cloud: Cloud
+    scans: int
+    drops: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What came of one recording, stage by stage."""
+
+    localization: Localization
+    registration: Registration
+    reconstruction: Reconstruction
+    drops: dict[str, int]
+
+
+def run(recording: Recording, settings: G2ReconConfig, *, progress: Progress = silent) -> Run:
+    """The whole way: from a recording to a mesh. Raises InputError where a stage has nothing to work on."""
+    localization = localize(recording, settings.localization, progress=progress)
+    registration = register(recording, localization.trajectory, settings.registration, progress=progress)
+    reconstruction = reconstruct(registration.cloud, settings.reconstruction, progress=progress)
+    drops = Counter(recording.drops) + Counter(registration.drops) + Counter(reconstruction.left_out)
+    return Run(localization, registration, reconstruction, dict(drops))
+
+
+def localize(recording: Recording, settings: LocalizationConfig, *, progress: Progress = silent) -> Localization:
+    """The trajectory of the robot from its horizontal scans, and from its odometry where there is some."""
+    if not recording.scans:
+        raise InputError("the recording holds no scan of a horizontal laser", advice="name its topic with scan_topic")
+    T_base_laser = mounting_pose("localization", settings.laser_pose, recording.T_base_laser)
+    localizer = Localizer(settings, T_base_laser)
+    odometry = odometry_at_scans(recording)
+    keyframes = 0
+    for index, scan in enumerate(recording.scans):
+        keyframes += localizer.process(scan, odometry[index]).keyframe
+        if index % 64 == 0 or index + 1 == len(recording.scans):
+            progress("localization", index + 1, len(recording.scans))
+    return Localization(localizer.trajectory(), localizer.point_map(), keyframes, localizer.unmatched)
+
+
+def odometry_at_scans(recording: Recording) -> Float:
+    """Odometry (N, 3) x, y, yaw of the robot at each horizontal scan, NaN where it is not known."""
+    if recording.scan_odometry is not None:
+        return recording.scan_odometry
+    T_odom_base, known = recording.odometry.interpolate([scan.stamp for scan in recording.scans])
+    result = np.full((len(recording.scans), 3), np.nan)
+    result[known] = se2.from_se3(T_odom_base[known])
+    return result
+
+
+def register(
+    recording: Recording, trajectory: Trajectory, settings: RegistrationConfig, *, progress: Progress = silent
+) -> Registration:
+    """The vertical scans of a recording as one cloud, each beam placed by the trajectory (T_map_base)."""
+    if not recording.scans_vertical:
+        raise InputError(
+            "the recording holds no scan of a vertical laser",
+            advice="name its topic with scan_vertical_topic, or use the command localize",
+        )
+    T_base_laser = mounting_pose("registration", settings.laser_pose, recording.T_base_laser_vertical)
+    registrar = Registrar(settings, T_base_laser)
+    # As on the robot: whatever was first is handed over first.
+    arrivals = sorted(
+        [
+            (stamp, T_map_base)
+            for stamp, T_map_base in zip(trajectory.stamps.tolist(), trajectory.matrices(), strict=True)
+        ]
+        + [(scan.stamp, scan) for scan in recording.scans_vertical],
+        key=lambda arrival: arrival[0],
+    )
+    clouds: list[Cloud] = []
+    for index, (stamp, arrived) in enumerate(arrivals):
+        if isinstance(arrived, Scan):
+            registrar.add_scan(arrived)
+        else:
+            registrar.add_pose(stamp, arrived)
+        clouds += [registered.cloud for registered in registrar.take()]
+        if index % 64 == 0 or index + 1 == len(arrivals):
+            progress("registration", index + 1, len(arrivals))
+    clouds += [registered.cloud for registered in registrar.finish()]
+    return Registration(concatenate(clouds), len(clouds), registrar.drops)
+
+
+def mounting_pose(stage: str, setting: tuple[float, ...], recorded: Float | None) -> Float:
+    """T_base_laser (4, 4): the setting where it is given, else what the recording says.
+
+    Raises InputError where neither is there: the identity would be a guess.
+    """
+    if setting:
+        return se3.from_xyz_rpy(setting)
+    if recorded is None:
+        raise InputError(
+            "the recording does not say how the laser is mounted",
+            advice=f"set {stage}.laser_pose to x y z roll pitch yaw (m, rad)",
+        )
+    return recorded
+
+
+def summarize(result: Run) -> dict[str, Any]:
+    """The counts of a run, ready for JSON."""
+    wire = result.reconstruction.wire_mesh
+    return {
+        "version": __version__,
+        "scans": len(result.localization.trajectory),
+        "unmatched_scans": result.localization.unmatched,
+        "path_length_m": round(result.localization.trajectory.length(), 3),
+        "vertical_scans": result.registration.scans,
+        "points": result.reconstruction.points,
+        "clusters": result.reconstruction.clusters,
+        "neurons": len(wire.vertices),
+        "joins": int(wire.join.sum()),
+        "faces": len(result.reconstruction.mesh.faces),
+        "quantization_error_m": round(result.reconstruction.quantization_error, 5),
+        "dropped": result.drops,
+    }
+
+
+def write_run(
+    result: Run, settings: G2ReconConfig, folder: Path, *, summary: dict[str, Any], progress: Progress = silent
+) -> None:
+    """Write all files of a run into a folder: trajectory, cloud, meshes, pictures, settings and summary."""
+    steps = [
+        lambda: write_tum(folder / "trajectory.tum", result.localization.trajectory),
+        lambda: write_cloud(folder / "cloud.ply", result.registration.cloud),
+        lambda: write_wire_mesh(folder / "wire_mesh.ply", result.reconstruction.wire_mesh),
+        lambda: write_mesh(folder / "mesh.ply", result.reconstruction.mesh),
+        lambda: write_mesh(folder / "mesh.glb", result.reconstruction.mesh),
+        lambda: pictures.draw_floor_plan(
+            folder / "floor_plan.png", result.localization.point_map, result.localization.trajectory
+        ),
+        lambda: pictures.draw_mesh(folder / "mesh.png", result.reconstruction.mesh, result.reconstruction.wire_mesh),
+        lambda: write_text(folder / "config.yaml", config.dump(settings)),
+        lambda: write_text(folder / "summary.json", json.dumps(summary, indent=2) + "\n"),
+    ]
+    for done, step in enumerate(steps, start=1):
+        step()
+        progress("writing", done, len(steps))
