@@ -1,0 +1,355 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Between ROS messages and the types of the stages; whole arrays at a time, and nothing in a message is trusted."""
+
+from __future__ import annotations
+
+import array
+import colorsys
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from nav_msgs.msg import Odometry, Path
+from numpy.typing import ArrayLike, NDArray
+from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from g2_recon.errors import InputError
+from g2_recon.geometry import se3
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.trajectory import Trajectory
+
+Float = NDArray[np.float64]
+
+POINT_FIELDS = ("x", "y", "z")
+SENSOR_FIELDS = ("vx", "vy", "vz")
+"""Where each point was seen from, as in the PLY files."""
+
+FARTHEST_M = 1e6
+"""No robot is farther than this from the origin of its map; what says so is broken, and float32 would lose it."""
+
+_FIELD_TYPES = {
+    PointField.INT8: "i1",
+    PointField.UINT8: "u1",
+    PointField.INT16: "i2",
+    PointField.UINT16: "u2",
+    PointField.INT32: "i4",
+    PointField.UINT32: "u4",
+    PointField.FLOAT32: "f4",
+    PointField.FLOAT64: "f8",
+}
+
+_LINE_WIDTH_M = 0.01
+# Neighboring submaps have neighboring numbers; steps of the golden ratio give them hues that differ.
+_HUE_STEP = (math.sqrt(5) - 1) / 2
+_JOIN_COLOR = ColorRGBA(r=0.9, g=0.9, b=0.9, a=1.0)
+
+
+def stamp_seconds(stamp: Time) -> float:
+    """Seconds of a stamp."""
+    return float(stamp.sec) + float(stamp.nanosec) * 1e-9
+
+
+def stamp_message(seconds: float) -> Time:
+    """The stamp of a time in seconds, to the nearest nanosecond that a float can tell."""
+    whole = math.floor(seconds)
+    nanoseconds = round((seconds - whole) * 1e9)
+    return Time(sec=whole + nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def header(stamp: Time, frame_id: str) -> Header:
+    """A header."""
+    return Header(stamp=stamp, frame_id=frame_id)
+
+
+def scan_from_message(message: LaserScan) -> Scan:
+    """A scan. Raises InputError where the numbers that give the beams their place and meaning are unusable."""
+    if not message.range_min < message.range_max:
+        raise InputError(
+            f"the scan states ranges from {message.range_min} to {message.range_max} m",
+            where=f"frame {message.header.frame_id}",
+            advice="range_min must be smaller than range_max",
+        )
+    return Scan(
+        stamp=stamp_seconds(message.header.stamp),
+        ranges=np.array(message.ranges, np.float32),
+        angle_min=message.angle_min,
+        angle_increment=message.angle_increment,
+        range_min=message.range_min,
+        range_max=message.range_max,
+        time_increment=message.time_increment,
+        frame_id=message.header.frame_id,
+    )
+
+
+def scan_to_message(scan: Scan) -> LaserScan:
+    """The message of a scan."""
+    count = len(scan.ranges)
+    return LaserScan(
+        header=header(stamp_message(scan.stamp), scan.frame_id),
+        angle_min=scan.angle_min,
+        angle_max=scan.angle_min + scan.angle_increment * max(count - 1, 0),
+        angle_increment=scan.angle_increment,
+        time_increment=scan.time_increment,
+        scan_time=scan.time_increment * count,
+        range_min=scan.range_min,
+        range_max=scan.range_max,
+        ranges=_array("f", scan.ranges.astype(np.float32)),
+    )
+
+
+def pose_matrix(pose: Pose) -> Float:
+    """The transform (4, 4) of a pose.
+
+    Raises InputError where it is not finite, its quaternion is no rotation or it is absurdly far away.
+    """
+    position, rotation = pose.position, pose.orientation
+    return _matrix((position.x, position.y, position.z), (rotation.x, rotation.y, rotation.z, rotation.w))
+
+
+def transform_matrix(transform: Transform) -> Float:
+    """The transform (4, 4) of a message. Raises InputError as `pose_matrix` does."""
+    move, rotation = transform.translation, transform.rotation
+    return _matrix((move.x, move.y, move.z), (rotation.x, rotation.y, rotation.z, rotation.w))
+
+
+def pose_message(matrix: ArrayLike) -> Pose:
+    """The pose of a transform (4, 4)."""
+    T = np.asarray(matrix, float)
+    return _pose(T[:3, 3].tolist(), se3.to_quaternion(T).tolist())
+
+
+def transform_message(stamp: Time, parent: str, child: str, T_parent_child: ArrayLike) -> TransformStamped:
+    """The message of a transform (4, 4) between two frames."""
+    T = np.asarray(T_parent_child, float)
+    x, y, z = T[:3, 3].tolist()
+    qx, qy, qz, qw = se3.to_quaternion(T).tolist()
+    return TransformStamped(
+        header=header(stamp, parent),
+        child_frame_id=child,
+        transform=Transform(translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw)),
+    )
+
+
+def odometry_from_message(message: Odometry) -> tuple[float, Float]:
+    """Stamp in seconds and T_odom_base (4, 4). Raises InputError as `pose_matrix` does."""
+    return stamp_seconds(message.header.stamp), pose_matrix(message.pose.pose)
+
+
+def planar_pose_message(head: Header, pose: ArrayLike, covariance: ArrayLike) -> PoseWithCovarianceStamped:
+    """The message of a planar pose (3,) and its covariance (3, 3) of x, y, yaw; the other entries are zero."""
+    full = np.zeros((6, 6))
+    full[np.ix_((0, 1, 5), (0, 1, 5))] = covariance
+    message = PoseWithCovarianceStamped(header=head)
+    message.pose.pose = pose_message(se3.from_se2(pose))
+    message.pose.covariance = full.ravel()
+    return message
+
+
+def path_message(head: Header, trajectory: Trajectory) -> Path:
+    """The message of a trajectory; each pose has its own stamp."""
+    rows = zip(trajectory.stamps.tolist(), trajectory.positions.tolist(), trajectory.quaternions.tolist(), strict=True)
+    return Path(
+        header=head,
+        poses=[
+            PoseStamped(header=header(stamp_message(stamp), head.frame_id), pose=_pose(position, quaternion))
+            for stamp, position, quaternion in rows
+        ],
+    )
+
+
+def poses_from_path(message: Path) -> Iterator[tuple[float, Float]]:
+    """Stamps in seconds and transforms (4, 4). Raises InputError as `pose_matrix` does."""
+    for pose in message.poses:
+        yield stamp_seconds(pose.header.stamp), pose_matrix(pose.pose)
+
+
+def cloud_from_message(message: PointCloud2) -> Cloud:
+    """A cloud with its sensor positions if the message has fields vx, vy, vz.
+
+    Fields may have any order, type, padding and byte order; points that are not finite are kept as they are.
+    Raises InputError where x, y or z is missing or the layout does not fit the data.
+    """
+    height, width, step = message.height, message.width, message.point_step
+    fields = _fields(message)
+    # A single row needs no row step, and some drivers leave it at zero.
+    row_step = message.row_step if height > 1 else width * step
+    if width * height == 0:
+        rows = np.empty((0, 1), _layout(message, fields, POINT_FIELDS + SENSOR_FIELDS))
+    elif row_step < width * step or (height - 1) * row_step + width * step > len(message.data):
+        raise InputError(
+            f"a cloud of {height} x {width} points of {step} bytes, {row_step} bytes a row, "
+            f"does not fit its {len(message.data)} bytes of data",
+            where=f"frame {message.header.frame_id}",
+        )
+    else:
+        dtype = _layout(message, fields, POINT_FIELDS + SENSOR_FIELDS)
+        rows = np.ndarray((height, width), dtype, buffer=message.data, strides=(row_step, step))
+    seen_from = all(name in fields for name in SENSOR_FIELDS)
+    return Cloud(_columns(rows, POINT_FIELDS), _columns(rows, SENSOR_FIELDS) if seen_from else None)
+
+
+def usable_points(cloud: Cloud) -> Cloud:
+    """The cloud without points, or points seen from places, that are not finite or absurdly far away."""
+    columns = cloud.points if cloud.sensor is None else np.hstack([cloud.points, cloud.sensor])
+    return cloud.select(np.asarray((np.abs(columns) <= FARTHEST_M).all(axis=1)))
+
+
+def cloud_to_message(head: Header, cloud: Cloud) -> PointCloud2:
+    """The message of a cloud: float32 x y z and, where known, vx vy vz, without padding."""
+    columns = cloud.points if cloud.sensor is None else np.hstack([cloud.points, cloud.sensor])
+    names = POINT_FIELDS if cloud.sensor is None else POINT_FIELDS + SENSOR_FIELDS
+    step = 4 * len(names)
+    return PointCloud2(
+        header=head,
+        height=1,
+        width=len(cloud),
+        fields=[
+            PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+            for index, name in enumerate(names)
+        ],
+        is_bigendian=False,
+        point_step=step,
+        row_step=step * len(cloud),
+        data=_array("B", columns.astype("<f4")),
+        is_dense=bool(np.isfinite(columns).all()),
+    )
+
+
+def wire_mesh_markers(head: Header, mesh: WireMesh) -> MarkerArray:
+    """A LINE_LIST a submap and one more for the joins, after a marker that deletes what was there before."""
+    points = _points(mesh.vertices)
+    inner = mesh.edges[~mesh.join]
+    markers = [_delete_all(head)]
+    for submap, edges in _groups(inner, mesh.submap[inner[:, 0]]):
+        marker = _marker(head, Marker.LINE_LIST, "wire_mesh", submap, _submap_color(submap))
+        markers.append(_filled(marker, points, edges))
+    if mesh.join.any():
+        marker = _marker(head, Marker.LINE_LIST, "joins", 0, _JOIN_COLOR)
+        markers.append(_filled(marker, points, mesh.edges[mesh.join]))
+    return MarkerArray(markers=markers)
+
+
+def mesh_markers(head: Header, mesh: Mesh) -> MarkerArray:
+    """A TRIANGLE_LIST a submap, after a marker that deletes what was there before."""
+    points = _points(mesh.vertices)
+    markers = [_delete_all(head)]
+    for submap, faces in _groups(mesh.faces, mesh.submap):
+        marker = _marker(head, Marker.TRIANGLE_LIST, "mesh", submap, _submap_color(submap))
+        markers.append(_filled(marker, points, faces))
+    return MarkerArray(markers=markers)
+
+
+def no_markers(head: Header) -> MarkerArray:
+    """What removes all markers shown."""
+    return MarkerArray(markers=[_delete_all(head)])
+
+
+def _array(typecode: str, values: NDArray) -> array.array:
+    """An array that the message keeps as it is; a list or bytes would be checked element by element."""
+    result = array.array(typecode)
+    result.frombytes(values.tobytes())
+    return result
+
+
+def _matrix(position: tuple[float, float, float], quaternion: tuple[float, float, float, float]) -> Float:
+    T = se3.from_quaternion(position, quaternion)
+    if np.abs(T[:3, 3]).max() > FARTHEST_M:
+        raise InputError(f"a pose is at {position} m, farther than {FARTHEST_M:g} m from the origin")
+    return T
+
+
+def _pose(position: list[float], quaternion: list[float]) -> Pose:
+    x, y, z = position
+    qx, qy, qz, qw = quaternion
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+
+
+def _fields(message: PointCloud2) -> dict[str, PointField]:
+    """The fields that we read, by name. Raises InputError where one is missing, double or unreadable."""
+    where = f"frame {message.header.frame_id}"
+    known = [field for field in message.fields if field.name in POINT_FIELDS + SENSOR_FIELDS]
+    fields = {field.name: field for field in known}
+    if missing := [name for name in POINT_FIELDS if name not in fields]:
+        raise InputError(f"the cloud has no field {' '.join(missing)}", where=where)
+    if len(fields) < len(known):
+        raise InputError("the cloud has two fields of one name", where=where)
+    for field in known:
+        size = np.dtype(_FIELD_TYPES[field.datatype]).itemsize if field.datatype in _FIELD_TYPES else math.inf
+        if field.offset + size > message.point_step:
+            raise InputError(
+                f"the field {field.name} of type {field.datatype} at byte {field.offset} does not fit "
+                f"a point of {message.point_step} bytes",
+                where=where,
+            )
+    return fields
+
+
+def _layout(message: PointCloud2, fields: dict[str, PointField], names: tuple[str, ...]) -> np.dtype:
+    order = ">" if message.is_bigendian else "<"
+    present = [name for name in names if name in fields]
+    return np.dtype(
+        {
+            "names": present,
+            "formats": [order + _FIELD_TYPES[fields[name].datatype] for name in present],
+            "offsets": [fields[name].offset for name in present],
+            "itemsize": message.point_step,
+        }
+    )
+
+
+def _columns(rows: NDArray, names: tuple[str, ...]) -> Float:
+    result = np.empty((rows.size, len(names)))
+    for index, name in enumerate(names):
+        result[:, index] = rows[name].reshape(-1)
+    return result
+
+
+def _points(vertices: Float) -> list[Point]:
+    """One message a vertex, to be shared by all lines and triangles that touch it."""
+    return [Point(x=x, y=y, z=z) for x, y, z in vertices.tolist()]
+
+
+def _groups(rows: NDArray[np.int64], labels: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """The rows of each label, by label."""
+    order = np.argsort(labels, kind="stable")
+    names, starts = np.unique(labels[order], return_index=True)
+    # Without rows there is no name, but still one empty part.
+    yield from zip(names.tolist(), np.split(rows[order], starts[1:]), strict=False)
+
+
+def _filled(marker: Marker, points: list[Point], corners: NDArray[np.int64]) -> Marker:
+    marker.points = [points[index] for index in corners.ravel().tolist()]
+    return marker
+
+
+def _marker(head: Header, kind: int, namespace: str, number: int, color: ColorRGBA) -> Marker:
+    marker = Marker(header=head, ns=namespace, id=number, type=kind, action=Marker.ADD, color=color)
+    marker.pose.orientation.w = 1.0
+    size = _LINE_WIDTH_M if kind == Marker.LINE_LIST else 1.0
+    marker.scale = Vector3(x=size, y=size, z=size)
+    return marker
+
+
+def _delete_all(head: Header) -> Marker:
+    return Marker(header=head, action=Marker.DELETEALL)
+
+
+def _submap_color(submap: int) -> ColorRGBA:
+    red, green, blue = colorsys.hsv_to_rgb(submap * _HUE_STEP % 1.0, 0.6, 0.95)
+    return ColorRGBA(r=red, g=green, b=blue, a=1.0)

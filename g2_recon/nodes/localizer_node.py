@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""localizer_node: horizontal scans, and wheel odometry where there is some, to poses in the map."""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from collections.abc import Sequence
+from time import monotonic
+from typing import NamedTuple
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry, Path
+from numpy.typing import NDArray
+from sensor_msgs.msg import LaserScan, PointCloud2
+
+from g2_recon.errors import InputError
+from g2_recon.geometry import se2, se3
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.trajectory import PoseBuffer
+from g2_recon.localization.localizer import LocalizedScan, Localizer
+from g2_recon.nodes import conversions
+from g2_recon.nodes.parameters import LocalizerParameters
+from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
+from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode, session_folder
+from g2_recon.recording.clouds import write_cloud
+from g2_recon.recording.trajectories import write_tum
+
+# Odometry with a longer gap says nothing about a time inside it.
+_MAX_ODOMETRY_GAP_S = 1.0
+# Wall time that queued odometry gets to come in before a scan goes on without it, and the same where no newer scan
+# tells how much time has passed: at the end of a recording.
+_GRACE_S, _LONGEST_GRACE_S = 0.05, 1.0
+
+
+class _WaitingScan(NamedTuple):
+    scan: Scan
+    stamp: Time
+    received_at: float
+
+
+class LocalizerNode(StageNode[LocalizerParameters]):
+    """Localizes each scan; publishes poses at once, trajectory and map at new keyframes, at most once a second."""
+
+    def __init__(self) -> None:
+        """Raises ConfigError where a parameter is wrong."""
+        super().__init__("localizer_node", LocalizerParameters)
+        self._transforms = Transforms(self)
+        self._mount = LaserMount(self, self.settings.laser_pose, self.settings.base_frame, self._transforms)
+        self._localizer: Localizer | None = None
+        self._start: NDArray[np.float64] = se2.IDENTITY
+        self._odometry = PoseBuffer()
+        self._waiting: deque[_WaitingScan] = deque()
+        self._jumps = JumpDetector()
+        self._newest_scan = -np.inf
+        self._last_stamp = Time()
+        self._map_changed = False
+        self._localized = 0
+        self._connect()
+
+    def _connect(self) -> None:
+        depth = self.settings.queue_depth
+        self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "pose", reliable_qos(depth))
+        self._trajectory_publisher = self.create_publisher(Path, "trajectory", LATCHED)
+        self._map_publisher = self.create_publisher(PointCloud2, "point_map", LATCHED)
+        self.offer_trigger("~/reset", self._reset_on_request)
+        self.offer_trigger("~/save", self._save)
+        self.offer_pause()
+        self.create_timer(1.0, self._publish_map, clock=self.steady_clock)
+        self.create_timer(_GRACE_S, self._process_waiting, clock=self.steady_clock)
+        self.create_subscription(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, 1)
+        if self.settings.use_odometry:
+            self.create_subscription(Odometry, "odom", self._on_odometry, sensor_qos(depth))
+        self.create_subscription(LaserScan, "scan", self._on_scan, sensor_qos(depth))
+
+    def waiting_for(self) -> str:
+        """See StageNode."""
+        return self.not_received("scan") or self._mount.waiting_for
+
+    def figures(self) -> dict[str, object]:
+        """See StageNode."""
+        return {
+            "localized scans": self._localized,
+            "scans that did not match the map": 0 if self._localizer is None else self._localizer.unmatched,
+            "scans that wait for odometry": len(self._waiting),
+        }
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self.received["odom"] += 1
+        try:
+            stamp, T_odom_base = conversions.odometry_from_message(message)
+        except InputError as error:
+            self.drop("unusable odometry", str(error))
+            return
+        if stamp < self._odometry.last_stamp - _MAX_ODOMETRY_GAP_S:
+            self._odometry.clear()
+        self._odometry.add(stamp, T_odom_base)
+        self._process_waiting()
+
+    def _on_scan(self, message: LaserScan) -> None:
+        self.received["scan"] += 1
+        if self.paused:
+            self.drops["scan while paused"] += 1
+            return
+        try:
+            scan = conversions.scan_from_message(message)
+        except InputError as error:
+            self.drop("unusable scan", str(error))
+            return
+        if self._jumps.jumped_back(scan.stamp):
+            self.get_logger().warning(f"time jumped back to {scan.stamp:.3f} s: starting a new map")
+            self._reset(se2.IDENTITY)
+        T_base_laser = self._mount.find(scan.frame_id)
+        if T_base_laser is None:
+            self.drops["scan of a laser with unknown pose"] += 1
+            return
+        if self._localizer is None:
+            self._localizer = Localizer(self.settings, T_base_laser)
+            self._localizer.reset(self._start)
+        self._newest_scan = max(self._newest_scan, scan.stamp)
+        self._waiting.append(_WaitingScan(scan, message.header.stamp, monotonic()))
+        self._process_waiting()
+
+    def _process_waiting(self) -> None:
+        """Localize the scans that have their odometry, or for which none will come."""
+        while self._waiting and not self._odometry_may_come(self._waiting[0]):
+            waiting = self._waiting.popleft()
+            self._localize(waiting.scan, waiting.stamp)
+
+    def _odometry_may_come(self, waiting: _WaitingScan) -> bool:
+        if not len(self._odometry) or waiting.scan.stamp <= self._odometry.last_stamp:
+            return False
+        overdue = self._newest_scan - self._odometry.last_stamp > self.settings.odometry_wait
+        return monotonic() - waiting.received_at < (_GRACE_S if overdue else _LONGEST_GRACE_S)
+
+    def _localize(self, scan: Scan, stamp: Time) -> None:
+        assert self._localizer is not None
+        T_odom_base = self._look_up_odometry(scan.stamp)
+        odometry = None if T_odom_base is None else se2.from_se3(T_odom_base)
+        result = self._localizer.process(scan, odometry)
+        self._localized += 1
+        self._map_changed |= result.keyframe
+        self._last_stamp = stamp
+        self._publish_pose(result, stamp, T_odom_base)
+
+    def _look_up_odometry(self, stamp: float) -> NDArray[np.float64] | None:
+        """T_odom_base (4, 4) at the time of a scan, None where unknown."""
+        poses, known = self._odometry.interpolate([stamp], max_gap=_MAX_ODOMETRY_GAP_S)
+        # Scans of some recordings step back by less than a second.
+        self._odometry.drop_before(stamp - _MAX_ODOMETRY_GAP_S)
+        return poses[0] if known[0] else None
+
+    def _publish_pose(self, result: LocalizedScan, stamp: Time, T_odom_base: NDArray[np.float64] | None) -> None:
+        head = conversions.header(stamp, self.settings.map_frame)
+        self._pose_publisher.publish(conversions.planar_pose_message(head, result.pose, result.covariance))
+        if T_odom_base is not None:
+            T_map_odom = se3.from_se2(result.pose) @ se3.inverse(T_odom_base)
+            self._transforms.send(stamp, self.settings.map_frame, self.settings.odom_frame, T_map_odom)
+
+    def _publish_map(self) -> None:
+        """Publish trajectory and map if there is a new keyframe."""
+        if not self._map_changed or self._localizer is None:
+            return
+        self._map_changed = False
+        head = conversions.header(self._last_stamp, self.settings.map_frame)
+        self._trajectory_publisher.publish(conversions.path_message(head, self._localizer.keyframes()))
+        self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
+
+    def _map_cloud(self) -> Cloud:
+        planar = np.empty((0, 2)) if self._localizer is None else self._localizer.point_map()
+        return Cloud(np.column_stack([planar, np.zeros(len(planar))]))
+
+    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
+        self.received["initialpose"] += 1
+        frame = message.header.frame_id
+        if frame not in ("", self.settings.map_frame):
+            self.drop("initialpose in another frame", f"it is in {frame}, not {self.settings.map_frame}")
+            return
+        try:
+            pose = se2.from_se3(conversions.pose_matrix(message.pose.pose))
+        except InputError as error:
+            self.drop("unusable initialpose", str(error))
+            return
+        self.get_logger().info(f"starting a new map at x {pose[0]:.2f} m, y {pose[1]:.2f} m, yaw {pose[2]:.2f} rad")
+        self._reset(pose)
+
+    def _reset_on_request(self) -> str:
+        self._reset(se2.IDENTITY)
+        return "starting a new map"
+
+    def _reset(self, start: NDArray[np.float64]) -> None:
+        """Start a new map. The empty trajectory tells whoever builds on the poses that they start anew."""
+        self._start = start
+        self._waiting.clear()
+        self._newest_scan = -np.inf
+        self._map_changed = False
+        if self._localizer is not None:
+            self._localizer.reset(start)
+        head = conversions.header(self._last_stamp, self.settings.map_frame)
+        self._trajectory_publisher.publish(Path(header=head))
+        self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
+
+    def _save(self) -> str:
+        folder = session_folder(self.settings.session_dir)
+        if self._localizer is None:
+            raise InputError("there is nothing to save", advice=self.waiting_for() or "send scans first")
+        trajectory = self._localizer.trajectory()
+        write_tum(folder / "trajectory.tum", trajectory)
+        cloud = self._map_cloud()
+        write_cloud(folder / "point_map.ply", cloud)
+        return f"wrote trajectory.tum ({len(trajectory)} poses) and point_map.ply ({len(cloud)} points) to {folder}"
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; the exit code."""
+    return run(LocalizerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,183 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of the nodes: a stage's settings and what only a node needs, from one model a node.
+
+`python -m g2_recon.nodes.parameters` writes them all, commented, with the values of the robot G2.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterUninitializedException,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from g2_recon import config
+from g2_recon.config import LocalizationConfig, ReconstructionConfig, RegistrationConfig, Setting
+from g2_recon.errors import ConfigError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def _parameter(default: Any, meaning: str, unit: str = "", *, ge: float | None = None, le: float | None = None) -> Any:
+    return Field(default, ge=ge, le=le, description=meaning, json_schema_extra={"unit": unit})
+
+
+class _NodeModel(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+    queue_depth: int = _parameter(
+        1000, "messages of a topic that are kept for a node that is busy; older ones are lost", ge=1, le=1_000_000
+    )
+
+
+class _MapNodeModel(_NodeModel):
+    map_frame: str = _parameter("map", "frame of the map; what comes in another frame is dropped and counted")
+
+
+class _SessionModel(BaseModel):
+    session_dir: str = _parameter("", "folder that ~/save writes to; empty: ~/save says that it has none")
+
+
+class LocalizerParameters(_SessionModel, _MapNodeModel, LocalizationConfig):
+    """Parameters of localizer_node."""
+
+    odom_frame: str = _parameter("odom", "frame of the wheel odometry, parent of the robot in TF")
+    base_frame: str = _parameter("base_link", "frame of the robot that the laser is mounted on")
+    odometry_wait: float = _parameter(
+        0.2, "a scan waits for odometry unless odometry is this much older than the newest scan", "s", ge=0, le=10
+    )
+
+
+class RegistrarParameters(_MapNodeModel, RegistrationConfig):
+    """Parameters of registrar_node."""
+
+    base_frame: str = _parameter("base_link", "frame of the robot that the laser is mounted on")
+
+
+class ReconstructParameters(_SessionModel, _MapNodeModel, ReconstructionConfig):
+    """Parameters of reconstruct_node."""
+
+    cloud_topics: tuple[str, ...] = _parameter(("cloud",), "topics of the clouds, one or more a robot")
+
+
+class ReplayParameters(_NodeModel):
+    """Parameters of replay_node."""
+
+    bag: str = _parameter("", "recording to replay: the folder of a rosbag2 or a bag file")
+    rate: float = _parameter(1.0, "speed of the replay; 1: as it was recorded", ge=0.01, le=100)
+    loop: bool = _parameter(False, "start again at the end")
+    wait_for_subscribers: float = _parameter(
+        10.0, "the replay starts when every topic has a subscriber, or after this time", "s", ge=0, le=3600
+    )
+    start_delay: float = _parameter(
+        1.0, "time that subscribers then get to make their connections before the replay starts", "s", ge=0, le=3600
+    )
+    exit_when_done: bool = _parameter(True, "the node ends when all is replayed and received")
+
+
+G2: dict[str, BaseModel] = {
+    "localizer_node": LocalizerParameters(laser_pose=(0.15, 0, 0.35, 0, 0, 0)),
+    "registrar_node": RegistrarParameters(laser_pose=(-0.05, 0, 0.60, 0, round(-math.pi / 2, 7), 0), max_wait=60.0),
+    "reconstruct_node": ReconstructParameters(),
+    "replay_node": ReplayParameters(),
+}
+"""The robot of the paper: a horizontal laser in front, a vertical one behind it that looks up to both sides."""
+
+
+def declare(node: Node, model: type[Model]) -> Model:
+    """Declare every setting of `model` as a read-only parameter of the node and return the model with their values.
+
+    Raises ConfigError that names the parameter, its value and what is allowed.
+    """
+    where = f"parameters of {node.get_fully_qualified_name()}"
+    values = {}
+    for setting in config.settings(model):
+        kind = _parameter_type(setting)
+        default = _plain(setting.default)
+        try:
+            node.declare_parameter(setting.name, kind if default == [] else default, describe(setting))
+            value = node.get_parameter(setting.name).value
+        except InvalidParameterTypeException as error:
+            raise ConfigError(
+                str(error).removesuffix(f": {setting.name}"),
+                where=where,
+                advice="a decimal number needs a point, as in 1.0" if kind.name.startswith("DOUBLE") else "",
+            ) from None
+        except InvalidParameterValueException as error:
+            raise ConfigError(str(error), where=where) from None
+        except ParameterUninitializedException:
+            value = setting.default
+        values[setting.name] = _plain(value)
+    _warn_of_unknown(node)
+    return config.make(model, values, where=where)
+
+
+def describe(setting: Setting) -> ParameterDescriptor:
+    """The ROS descriptor of a setting: type, meaning, unit and range."""
+    descriptor = ParameterDescriptor(
+        name=setting.name,
+        type=_parameter_type(setting).value,
+        description=setting.describe(),
+        additional_constraints=f"one of: {', '.join(setting.choices)}" if setting.choices else "",
+        read_only=True,
+    )
+    if setting.minimum is not None and setting.maximum is not None:
+        if setting.type is int:
+            limits = IntegerRange(from_value=int(setting.minimum), to_value=int(setting.maximum))
+            descriptor.integer_range = [limits]
+        else:
+            limits = FloatingPointRange(from_value=float(setting.minimum), to_value=float(setting.maximum))
+            descriptor.floating_point_range = [limits]
+    return descriptor
+
+
+def dump(nodes: dict[str, BaseModel]) -> str:
+    """A commented ROS parameter file, by node; it applies in every namespace."""
+    lines = [
+        "# SPDX-FileCopyrightText: 2026 The g2_recon developers",
+        "# SPDX-License-Identifier: Apache-2.0",
+        "# All parameters of all nodes, with the values of the robot G2, in every namespace. Written by",
+        "#   python -m g2_recon.nodes.parameters > config/g2.yaml",
+    ]
+    for name, model in nodes.items():
+        lines += ["", f"/**/{name}:", "  ros__parameters:", config.dump(model, indent=4).rstrip("\n")]
+    return "\n".join(lines) + "\n"
+
+
+def _parameter_type(setting: Setting) -> Parameter.Type:
+    if setting.type is tuple:
+        texts = setting.default and all(isinstance(item, str) for item in setting.default)
+        return Parameter.Type.STRING_ARRAY if texts else Parameter.Type.DOUBLE_ARRAY
+    kinds = {
+        bool: Parameter.Type.BOOL,
+        int: Parameter.Type.INTEGER,
+        float: Parameter.Type.DOUBLE,
+        str: Parameter.Type.STRING,
+    }
+    return kinds[setting.type]
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and tuples as lists."""
+    return value if isinstance(value, (bool, int, float, str)) else list(value)
+
+
+def _warn_of_unknown(node: Node) -> None:
+    """Name the parameters that were given but that the node does not have: most likely misspelled."""
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name) and not name.startswith("qos_overrides."):
+            node.get_logger().warning(f"there is no parameter '{name}': its value has no effect")
+
+
+if __name__ == "__main__":
+    sys.stdout.write(dump(G2))

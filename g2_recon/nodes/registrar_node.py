@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""registrar_node: vertical scans, and the poses of the robot, to clouds in the map frame."""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from collections.abc import Sequence
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+from sensor_msgs.msg import LaserScan, PointCloud2
+
+from g2_recon.errors import InputError
+from g2_recon.nodes import conversions
+from g2_recon.nodes.parameters import RegistrarParameters
+from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
+from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode
+from g2_recon.registration.registrar import Registrar
+
+
+class RegistrarNode(StageNode[RegistrarParameters]):
+    """Publishes one cloud a vertical scan, with the stamp of the scan, as soon as poses cover it."""
+
+    def __init__(self) -> None:
+        """Raises ConfigError where a parameter is wrong."""
+        super().__init__("registrar_node", RegistrarParameters)
+        self._mount = LaserMount(self, self.settings.laser_pose, self.settings.base_frame, Transforms(self))
+        self._registrar: Registrar | None = None
+        # Poses that come before the pose of the laser is known.
+        self._early_poses: deque[tuple[float, NDArray]] = deque(maxlen=self.settings.queue_depth)
+        self._jumps = {"pose": JumpDetector(), "scan_vertical": JumpDetector()}
+        self._registered = 0
+        depth = self.settings.queue_depth
+        self._cloud_publisher = self.create_publisher(PointCloud2, "cloud", reliable_qos(depth))
+        self.offer_trigger("~/reset", self._reset)
+        self.create_subscription(Path, "trajectory", self._on_trajectory, LATCHED)
+        self.create_subscription(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
+        self.create_subscription(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
+
+    def waiting_for(self) -> str:
+        """See StageNode."""
+        return self.not_received("scan_vertical") or self._mount.waiting_for or self.not_received("pose")
+
+    def figures(self) -> dict[str, object]:
+        """See StageNode."""
+        values: dict[str, object] = {"registered scans": self._registered}
+        if self._registrar is not None:
+            values["scans that wait for a pose"] = self._registrar.waiting
+            values |= {f"dropped: scan, {reason}": count for reason, count in self._registrar.drops.items()}
+        return values
+
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        self.received["pose"] += 1
+        if not self._in_map_frame(message.header.frame_id, "pose"):
+            return
+        try:
+            T_map_base = conversions.pose_matrix(message.pose.pose)
+        except InputError as error:
+            self.drop("unusable pose", str(error))
+            return
+        stamp = conversions.stamp_seconds(message.header.stamp)
+        self._reset_if_jumped("pose", stamp)
+        if self._registrar is None:
+            self._early_poses.append((stamp, T_map_base))
+            return
+        self._registrar.add_pose(stamp, T_map_base)
+        self._publish_registered()
+
+    def _on_scan(self, message: LaserScan) -> None:
+        self.received["scan_vertical"] += 1
+        try:
+            scan = conversions.scan_from_message(message)
+        except InputError as error:
+            self.drop("unusable scan", str(error))
+            return
+        self._reset_if_jumped("scan_vertical", scan.stamp)
+        T_base_laser = self._mount.find(scan.frame_id)
+        if T_base_laser is None:
+            self.drops["scan of a laser with unknown pose"] += 1
+            return
+        if self._registrar is None:
+            self._registrar = Registrar(self.settings, T_base_laser)
+            for stamp, T_map_base in self._early_poses:
+                self._registrar.add_pose(stamp, T_map_base)
+            self._early_poses.clear()
+        self._registrar.add_scan(scan)
+        self._publish_registered()
+
+    def _on_trajectory(self, message: Path) -> None:
+        """An empty trajectory says that the localizer started a new map, so that the old poses no longer hold."""
+        self.received["trajectory"] += 1
+        if not message.poses:
+            self._reset()
+
+    def _publish_registered(self) -> None:
+        assert self._registrar is not None
+        for registered in self._registrar.take():
+            head = conversions.header(conversions.stamp_message(registered.stamp), self.settings.map_frame)
+            self._cloud_publisher.publish(conversions.cloud_to_message(head, registered.cloud))
+            self._registered += 1
+
+    def _in_map_frame(self, frame: str, what: str) -> bool:
+        if frame == self.settings.map_frame:
+            return True
+        self.drop(f"{what} in another frame", f"it is in '{frame}', not '{self.settings.map_frame}'")
+        return False
+
+    def _reset_if_jumped(self, topic: str, stamp: float) -> None:
+        if self._jumps[topic].jumped_back(stamp):
+            self.get_logger().warning(f"time on `{topic}` jumped back to {stamp:.3f} s: forgetting poses and scans")
+            self._reset()
+            self._jumps = {"pose": JumpDetector(), "scan_vertical": JumpDetector()}
+
+    def _reset(self) -> str:
+        self._early_poses.clear()
+        if self._registrar is not None:
+            self.drops.update({f"scan, {reason}": count for reason, count in self._registrar.drops.items()})
+            self._registrar.reset()
+        return "forgot all poses and waiting scans"
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; the exit code."""
+    return run(RegistrarNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""What all nodes need of ROS: quality of service, start and end of a process, and TF where it is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from numpy.typing import ArrayLike, NDArray
+from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from g2_recon.errors import G2ReconError
+from g2_recon.nodes import conversions
+
+
+def _if_installed(name: str) -> Any | None:
+    try:
+        return import_module(name)
+    except ImportError:
+        return None
+
+
+# The ROS wheels of the Python package index do not hold it.
+tf2_ros: Any = _if_installed("tf2_ros")
+
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Maps and meshes: whoever comes late gets the last one (REP-2003)."""
+
+
+def sensor_qos(depth: int) -> QoSProfile:
+    """Sensor data (REP-2003): takes what any publisher offers; the queue is for bursts and replays."""
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def reliable_qos(depth: int) -> QoSProfile:
+    """What stages hand on to each other: nothing may be lost."""
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def run(create: Callable[[], Node], args: Sequence[str] | None, *, threads: int = 1) -> int:
+    """Spin a node until it is told to stop, or its future `finished`, if it has one, is done; the exit code.
+
+    0 after SIGINT, SIGTERM, a shutdown or a finished node; 1, with one line, where the node cannot start because of
+    what it was given.
+    """
+    try:
+        rclpy.init(args=None if args is None else list(args))
+    except RuntimeError as error:
+        rclpy.logging.get_logger("g2_recon").fatal(" ".join(str(error).split()))
+        return 1
+    node = None
+    executor: Executor | None = None
+    try:
+        node = create()
+        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+        executor.add_node(node)
+        finished = getattr(node, "finished", None)
+        if finished is None:
+            executor.spin()
+        else:
+            executor.spin_until_future_complete(finished)
+    except G2ReconError as error:
+        rclpy.logging.get_logger("g2_recon").fatal(str(error))
+        return 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except Exception:
+        # A signal ends the context under the hands of a callback; what fails then is no fault.
+        if rclpy.ok():
+            raise
+    finally:
+        if executor is not None:
+            executor.shutdown(timeout_sec=1.0)
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+class Transforms:
+    """TF where tf2_ros is installed; without it every look-up says that it knows nothing."""
+
+    def __init__(self, node: Node) -> None:
+        self.available = tf2_ros is not None
+        if not self.available:
+            node.get_logger().info("tf2_ros is not installed: transforms are neither read nor sent")
+            return
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer, node)
+        self._broadcaster = tf2_ros.TransformBroadcaster(node)
+
+    def look_up(self, target: str, source: str) -> NDArray[np.float64] | None:
+        """The latest T_target_source (4, 4), or None where there is none yet."""
+        if not self.available:
+            return None
+        try:
+            found = self._buffer.lookup_transform(target, source, rclpy.time.Time())
+        except tf2_ros.TransformException:
+            return None
+        return conversions.transform_matrix(found.transform)
+
+    def send(self, stamp: Time, parent: str, child: str, T_parent_child: ArrayLike) -> None:
+        """Broadcast a transform (4, 4)."""
+        if self.available:
+            self._broadcaster.sendTransform(conversions.transform_message(stamp, parent, child, T_parent_child))

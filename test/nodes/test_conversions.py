@@ -1,0 +1,333 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import array
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose
+from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from g2_recon.errors import InputError
+from g2_recon.geometry import se3
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.nodes import conversions
+
+HEAD = Header(frame_id="map")
+FLOAT32, FLOAT64 = PointField.FLOAT32, PointField.FLOAT64
+TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+def through_the_wire(message):
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def make_scan(**changes) -> Scan:
+    values = {
+        "stamp": 1234.5,
+        "ranges": np.array([1.0, np.inf, -np.inf, np.nan, 0.0, 2.5], np.float32),
+        "angle_min": -1.0,
+        "angle_increment": 0.25,
+        "range_min": 0.125,
+        "range_max": 8.0,
+        "time_increment": 0.0078125,
+        "frame_id": "laser",
+    }
+    return Scan(**(values | changes))
+
+
+def make_wire_mesh() -> WireMesh:
+    vertices = np.arange(18.0).reshape(6, 3)
+    edges = np.array([[0, 1], [1, 2], [3, 4], [4, 5], [2, 3]])
+    return WireMesh(vertices, edges, np.array([0, 0, 0, 7, 7, 7]), np.array([False] * 4 + [True]))
+
+
+def layout_message(points, fields, *, padding=0, big=False, row_padding=0, height=1) -> PointCloud2:
+    """A cloud message with the given fields (name, datatype), each followed by `padding` bytes."""
+    order = ">" if big else "<"
+    offsets = np.cumsum([0] + [np.dtype(TYPES[kind]).itemsize + padding for _, kind in fields])
+    dtype = np.dtype(
+        {
+            "names": [name for name, _ in fields],
+            "formats": [order + TYPES[kind] for _, kind in fields],
+            "offsets": offsets[:-1].tolist(),
+            "itemsize": int(offsets[-1]),
+        }
+    )
+    width = len(points) // height
+    rows = np.zeros(len(points), dtype)
+    for column, (name, _) in enumerate(fields):
+        rows[name] = points[:, column]
+    packed = b"".join(rows[row * width : (row + 1) * width].tobytes() + bytes(row_padding) for row in range(height))
+    return PointCloud2(
+        header=HEAD,
+        height=height,
+        width=width,
+        fields=[
+            PointField(name=name, offset=int(offset), datatype=kind, count=1)
+            for (name, kind), offset in zip(fields, offsets, strict=False)
+        ],
+        is_bigendian=big,
+        point_step=dtype.itemsize,
+        row_step=width * dtype.itemsize + row_padding,
+        data=array.array("B", packed),
+    )
+
+
+def test_a_scan_survives_its_message():
+    scan = make_scan()
+    back = conversions.scan_from_message(through_the_wire(conversions.scan_to_message(scan)))
+    np.testing.assert_array_equal(back.ranges, scan.ranges)
+    for name in ("stamp", "angle_min", "angle_increment", "range_min", "range_max", "time_increment", "frame_id"):
+        assert getattr(back, name) == getattr(scan, name)
+
+
+def test_codes_of_rep_117_are_no_measurements():
+    scan = conversions.scan_from_message(conversions.scan_to_message(make_scan()))
+    np.testing.assert_array_equal(np.flatnonzero(scan.valid()), [0, 5])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"angle_increment": 0.0},
+        {"angle_increment": math.nan},
+        {"angle_min": math.inf},
+        {"time_increment": math.nan},
+        {"range_min": math.nan},
+        {"range_max": 0.0},
+    ],
+)
+def test_a_scan_whose_numbers_make_no_sense_is_refused(changes):
+    message = conversions.scan_to_message(make_scan())
+    for name, value in changes.items():
+        setattr(message, name, value)
+    with pytest.raises(InputError):
+        conversions.scan_from_message(message)
+
+
+@given(
+    ranges=st.lists(st.floats(width=32), max_size=20),
+    numbers=st.lists(st.floats(width=32), min_size=6, max_size=6),
+    sec=st.integers(-(2**31), 2**31 - 1),
+    nanosec=st.integers(0, 2**32 - 1),
+)
+def test_any_scan_message_gives_finite_points_or_is_refused(ranges, numbers, sec, nanosec):
+    names = ("angle_min", "angle_max", "angle_increment", "time_increment", "range_min", "range_max")
+    message = LaserScan(ranges=ranges, **dict(zip(names, numbers, strict=True)))
+    message.header.stamp = Time(sec=sec, nanosec=nanosec)
+    try:
+        scan = conversions.scan_from_message(message)
+    except InputError:
+        return
+    points, _ = scan.points()
+    assert np.isfinite(points).all()
+
+
+@given(st.floats(-(2**31), 2**31 - 1))
+def test_a_stamp_survives_its_message_to_the_nanosecond(seconds):
+    back = conversions.stamp_seconds(conversions.stamp_message(seconds))
+    assert back == pytest.approx(seconds, rel=1e-15, abs=1e-9)
+
+
+def test_odometry_gives_the_pose_of_the_robot():
+    T = se3.from_xyz_rpy((1, 2, 3, 0.1, -0.2, 0.3))
+    message = Odometry()
+    message.header.stamp = Time(sec=5, nanosec=250_000_000)
+    message.pose.pose = conversions.pose_message(T)
+    stamp, back = conversions.odometry_from_message(through_the_wire(message))
+    assert stamp == 5.25
+    np.testing.assert_allclose(back, T, atol=1e-12)
+
+
+@given(st.lists(st.floats(), min_size=7, max_size=7))
+def test_any_pose_message_gives_a_rigid_transform_or_is_refused(numbers):
+    pose = Pose()
+    pose.position.x, pose.position.y, pose.position.z = numbers[:3]
+    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = numbers[3:]
+    try:
+        T = conversions.pose_matrix(pose)
+    except InputError:
+        return
+    assert np.isfinite(T).all()
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_a_quaternion_of_zeros_is_refused():
+    pose = Pose()
+    pose.orientation.w = 0.0
+    with pytest.raises(InputError, match="quaternion"):
+        conversions.pose_matrix(pose)
+
+
+def test_a_pose_that_is_absurdly_far_away_is_refused():
+    pose = Pose()
+    pose.position.x = 1e30
+    with pytest.raises(InputError, match="farther"):
+        conversions.pose_matrix(pose)
+
+
+def test_a_planar_covariance_goes_to_x_y_and_yaw():
+    covariance = np.arange(1.0, 10.0).reshape(3, 3)
+    full = conversions.planar_pose_message(HEAD, (1, 2, 3), covariance).pose.covariance.reshape(6, 6)
+    np.testing.assert_array_equal(full[np.ix_((0, 1, 5), (0, 1, 5))], covariance)
+    assert np.count_nonzero(full) == 9
+
+
+def test_a_path_keeps_stamps_and_poses():
+    trajectory = Trajectory.from_se2([1.5, 2.25], [(1, 2, 0.5), (3, 4, -0.5)])
+    path = through_the_wire(conversions.path_message(HEAD, trajectory))
+    assert [conversions.stamp_seconds(pose.header.stamp) for pose in path.poses] == [1.5, 2.25]
+    poses = [conversions.pose_matrix(pose.pose) for pose in path.poses]
+    np.testing.assert_allclose(poses, trajectory.matrices(), atol=1e-12)
+
+
+@pytest.mark.parametrize("seen_from", [True, False])
+def test_a_cloud_survives_its_message_as_float32(seen_from):
+    numbers = np.random.default_rng(0).normal(size=(2, 100, 3))
+    cloud = Cloud(numbers[0], numbers[1] if seen_from else None)
+    back = conversions.cloud_from_message(through_the_wire(conversions.cloud_to_message(HEAD, cloud)))
+    np.testing.assert_array_equal(back.points, cloud.points.astype(np.float32))
+    if seen_from:
+        np.testing.assert_array_equal(back.sensor, cloud.sensor.astype(np.float32))
+    else:
+        assert back.sensor is None
+
+
+def test_an_empty_cloud_survives_its_message():
+    cloud = Cloud(np.empty((0, 3)), np.empty((0, 3)))
+    back = conversions.cloud_from_message(through_the_wire(conversions.cloud_to_message(HEAD, cloud)))
+    assert len(back) == 0
+
+
+@given(
+    order=st.permutations(["x", "y", "z", "vx", "vy", "vz", "intensity", "ring"]),
+    kinds=st.lists(st.sampled_from(sorted(TYPES)), min_size=8, max_size=8),
+    padding=st.integers(0, 5),
+    row_padding=st.integers(0, 9),
+    height=st.sampled_from([1, 2, 3]),
+    big=st.booleans(),
+    width=st.integers(0, 4),
+)
+def test_fields_may_have_any_order_type_padding_and_byte_order(order, kinds, padding, row_padding, height, big, width):
+    values = np.random.default_rng(1).integers(0, 100, (height * width, 8)).astype(float)
+    message = layout_message(
+        values,
+        list(zip(order, kinds, strict=True)),
+        padding=padding,
+        big=big,
+        row_padding=row_padding,
+        height=height,
+    )
+    cloud = conversions.cloud_from_message(message)
+    by_name = dict(zip(order, values.T, strict=True))
+    np.testing.assert_array_equal(cloud.points, np.column_stack([by_name[name] for name in "xyz"]))
+    np.testing.assert_array_equal(cloud.sensor, np.column_stack([by_name["v" + name] for name in "xyz"]))
+
+
+@given(
+    height=st.integers(0, 2**32 - 1) | st.integers(0, 3),
+    width=st.integers(0, 2**32 - 1) | st.integers(0, 3),
+    point_step=st.integers(0, 2**32 - 1) | st.integers(0, 40),
+    row_step=st.integers(0, 2**32 - 1) | st.integers(0, 99),
+    data=st.binary(max_size=100),
+    fields=st.lists(
+        st.tuples(
+            st.sampled_from(["x", "y", "z", "vx", "vy", "vz", "rgb", ""]),
+            st.integers(0, 2**32 - 1) | st.integers(0, 40),
+            st.integers(0, 255) | st.integers(1, 8),
+        ),
+        max_size=8,
+    ),
+    big=st.booleans(),
+)
+def test_any_cloud_message_gives_a_cloud_or_is_refused(height, width, point_step, row_step, data, fields, big):
+    message = PointCloud2(
+        height=height,
+        width=width,
+        point_step=point_step,
+        row_step=row_step,
+        data=array.array("B", data),
+        is_bigendian=big,
+        fields=[PointField(name=name, offset=offset, datatype=kind, count=1) for name, offset, kind in fields],
+    )
+    try:
+        cloud = conversions.cloud_from_message(message)
+    except InputError:
+        return
+    assert len(cloud) == height * width
+
+
+def test_a_single_row_needs_no_row_step():
+    message = layout_message(np.ones((3, 3)), [(name, FLOAT32) for name in "xyz"])
+    message.row_step = 0
+    assert len(conversions.cloud_from_message(message)) == 3
+
+
+def test_a_cloud_whose_data_is_cut_short_is_refused():
+    message = layout_message(np.ones((3, 3)), [(name, FLOAT64) for name in "xyz"])
+    message.data = message.data[:-1]
+    with pytest.raises(InputError, match="does not fit"):
+        conversions.cloud_from_message(message)
+
+
+def test_a_cloud_without_z_is_refused_and_says_so():
+    message = layout_message(np.ones((3, 2)), [(name, FLOAT32) for name in "xy"])
+    with pytest.raises(InputError, match="no field z"):
+        conversions.cloud_from_message(message)
+
+
+def lines(marker: Marker) -> np.ndarray:
+    return np.array([(point.x, point.y, point.z) for point in marker.points]).reshape(-1, 2, 3)
+
+
+def test_a_wire_mesh_becomes_one_marker_a_submap_and_one_for_the_joins():
+    mesh = make_wire_mesh()
+    _, *markers = conversions.wire_mesh_markers(HEAD, mesh).markers
+    assert [(marker.ns, marker.id) for marker in markers] == [("wire_mesh", 0), ("wire_mesh", 7), ("joins", 0)]
+    drawn = np.concatenate([lines(marker) for marker in markers])
+    np.testing.assert_array_equal(drawn, mesh.vertices[mesh.edges])
+
+
+def test_a_mesh_becomes_one_list_of_triangles_a_submap():
+    vertices = np.arange(12.0).reshape(4, 3)
+    mesh = Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3], [1, 2, 3]]), np.array([4, 2, 4]))
+    _, second, fourth = conversions.mesh_markers(HEAD, mesh).markers
+    assert (second.id, len(second.points), fourth.id, len(fourth.points)) == (2, 3, 4, 6)
+    assert {second.type, fourth.type} == {Marker.TRIANGLE_LIST}
+
+
+def test_markers_first_delete_what_was_shown():
+    first = conversions.wire_mesh_markers(HEAD, make_wire_mesh()).markers[0]
+    assert first.action == Marker.DELETEALL
+
+
+def test_an_empty_mesh_deletes_what_was_shown():
+    mesh = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64), np.empty(0, np.int64))
+    assert [marker.action for marker in conversions.mesh_markers(HEAD, mesh).markers] == [Marker.DELETEALL]
+
+
+def test_markers_are_drawn_as_they_are():
+    array_ = through_the_wire(conversions.wire_mesh_markers(HEAD, make_wire_mesh()))
+    assert isinstance(array_, MarkerArray)
+    for marker in array_.markers[1:]:
+        assert marker.header.frame_id == "map"
+        assert marker.pose.orientation.w == 1.0
+        assert marker.color.a == 1.0
+        assert 0 < marker.scale.x <= 0.1
+        assert (marker.lifetime.sec, marker.lifetime.nanosec) == (0, 0)

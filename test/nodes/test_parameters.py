@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+import rclpy
+from rclpy.parameter import Parameter
+
+from g2_recon import config
+from g2_recon.errors import ConfigError
+from g2_recon.nodes import parameters
+from g2_recon.nodes.parameters import (
+    LocalizerParameters,
+    ReconstructParameters,
+    RegistrarParameters,
+    ReplayParameters,
+)
+
+ROOT = Path(__file__).parents[2]
+MODELS = {
+    "localizer_node": LocalizerParameters,
+    "registrar_node": RegistrarParameters,
+    "reconstruct_node": ReconstructParameters,
+    "replay_node": ReplayParameters,
+}
+
+
+@pytest.fixture
+def declared(ros):
+    """`declared(name, *arguments)` declares the parameters of a node that is started with the arguments."""
+
+    def declare(name, *arguments, namespace=""):
+        node = ros(*arguments).add(lambda: rclpy.create_node(name, namespace=namespace))
+        return parameters.declare(node, MODELS[name]), node
+
+    return declare
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_without_values_parameters_have_the_defaults_of_the_model(declared, name):
+    values, _ = declared(name)
+    assert values == MODELS[name]()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_parameter_says_what_it_means(declared, name):
+    _, node = declared(name)
+    for setting in config.settings(MODELS[name]):
+        descriptor = node.describe_parameter(setting.name)
+        assert setting.meaning and setting.meaning in descriptor.description
+        assert setting.unit in descriptor.description
+        assert descriptor.read_only
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_number_has_its_range(declared, name):
+    _, node = declared(name)
+    for setting in config.settings(MODELS[name]):
+        descriptor = node.describe_parameter(setting.name)
+        limits = [*descriptor.floating_point_range, *descriptor.integer_range]
+        if setting.type in (int, float):
+            assert [(limit.from_value, limit.to_value) for limit in limits] == [(setting.minimum, setting.maximum)]
+
+
+def test_choices_are_told(declared):
+    _, node = declared("reconstruct_node")
+    assert node.describe_parameter("mode").additional_constraints == "one of: solid, paper"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("localizer_node", "max_range:=1000.0", "max_range out of range"),
+        ("localizer_node", "max_range:=.nan", "max_range"),
+        ("localizer_node", "max_range:=5", "a decimal number needs a point"),
+        ("localizer_node", "max_iterations:=0", "max_iterations out of range"),
+        ("localizer_node", "laser_pose:=[1.0,2.0]", "six numbers"),
+        ("localizer_node", "min_range:=9.0", "min_range"),
+        ("reconstruct_node", "mode:=best", "mode"),
+        ("reconstruct_node", "cloud_topics:=3", "cloud_topics"),
+    ],
+)
+def test_a_wrong_value_is_refused_in_one_line_that_names_it(declared, name, value, told):
+    arguments = ["-p", value] + (["-p", "max_range:=1.0"] if value.startswith("min_range") else [])
+    with pytest.raises(ConfigError, match=told) as refused:
+        declared(name, *arguments)
+    assert name in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_an_empty_pose_is_no_pose(declared):
+    values, _ = declared("localizer_node", "-p", "laser_pose:=[]")
+    assert values.laser_pose == ()
+
+
+def test_parameters_cannot_be_changed_while_the_node_runs(declared):
+    _, node = declared("localizer_node")
+    assert not node.set_parameters([Parameter("max_range", value=10.0)])[0].successful
+
+
+@pytest.mark.parametrize("namespace", ["", "robot1", "site/robot1"])
+def test_the_file_for_the_g2_applies_in_every_namespace(declared, namespace):
+    values, _ = declared("registrar_node", "--params-file", str(ROOT / "config/g2.yaml"), namespace=namespace)
+    assert values == parameters.G2["registrar_node"]
+
+
+def test_the_file_for_the_g2_is_current():
+    written = (ROOT / "config/g2.yaml").read_text()
+    assert written == parameters.dump(parameters.G2), "run `python -m g2_recon.nodes.parameters > config/g2.yaml`"
+
+
+def test_the_file_for_the_g2_holds_every_parameter_of_every_node():
+    nodes = yaml.safe_load((ROOT / "config/g2.yaml").read_text())
+    for name, model in MODELS.items():
+        assert set(nodes[f"/**/{name}"]["ros__parameters"]) == set(model.model_fields)

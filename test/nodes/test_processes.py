@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+ROOT = Path(__file__).parents[2]
+NODES = ("localizer_node", "registrar_node", "reconstruct_node", "replay_node")
+
+
+@pytest.fixture
+def start():
+    """`start(node, *arguments)` starts the process of a node; it is killed in every case."""
+    started = []
+
+    def begin(node, *arguments):
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"g2_recon.nodes.{node}", *arguments],
+            cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def long_bag(tmp_path) -> Path:
+    """One message now and one in an hour."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/text", "std_msgs/msg/Empty", typestore=types)
+        for hour in (1, 2):
+            writer.write(topic, hour * 3600 * 10**9, bytes(4 + 1))
+    return tmp_path / "bag"
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_that_is_told_to_stop_ends_with_0_and_without_a_traceback(ros, start, long_bag, node, stop):
+    harness = ros()
+    name = f"{node}_{stop.name}"
+    process = start(node, "--ros-args", "-p", f"bag:={long_bag}", "-r", f"__node:={name}")
+    harness.wait_until(lambda: name in harness.observer.get_node_names())
+    process.send_signal(stop)
+    output, _ = process.communicate(timeout=20)
+    assert process.returncode == 0, output
+    assert "Traceback" not in output
+
+
+@pytest.mark.parametrize(
+    ("node", "arguments", "told"),
+    [
+        ("localizer_node", ("-p", "max_range:=1000.0"), "max_range out of range"),
+        ("registrar_node", ("-p", "laser_pose:=[1.0]"), "laser_pose needs six numbers"),
+        ("reconstruct_node", ("-p", "mode:=best"), "mode"),
+        ("replay_node", ("-p", "bag:=no/such/bag"), "no/such/bag: "),
+        ("replay_node", ("--params-file", "no_such_file.yaml"), "no_such_file.yaml"),
+    ],
+)
+def test_a_node_that_cannot_start_ends_with_1_and_one_line(start, node, arguments, told):
+    process = start(node, "--ros-args", *arguments)
+    output, _ = process.communicate(timeout=20)
+    assert process.returncode == 1, output
+    fatal = [line for line in output.splitlines() if "[FATAL]" in line]
+    assert len(fatal) == 1 and told in fatal[0]
+    assert "Traceback" not in output
+
+
+def test_a_misspelled_parameter_is_named(ros, start):
+    harness = ros()
+    process = start("localizer_node", "--ros-args", "-p", "max_rang:=5.0", "-r", "__node:=misspelled")
+    harness.wait_until(lambda: "misspelled" in harness.observer.get_node_names())
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=20)
+    assert "there is no parameter 'max_rang'" in output

@@ -1,0 +1,137 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Path
+from sensor_msgs.msg import LaserScan, PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from g2_recon.nodes import conversions
+from g2_recon.nodes.registrar_node import RegistrarNode
+from g2_recon.nodes.ros import LATCHED
+
+MOUNTED = ("-p", f"laser_pose:=[0.0,0.0,0.6,0.0,{-math.pi / 2},0.0]")
+
+
+def value(diagnostics: list, key: str) -> str | None:
+    pairs = {pair.key: pair.value for array in diagnostics for pair in array.status[0].values}
+    return pairs.get(key)
+
+
+@pytest.fixture
+def drive(ros, room_scan):
+    """`drive(*arguments)` starts the node and gives the test's end of its topics."""
+
+    def start(*arguments):
+        harness = ros(*(arguments or MOUNTED))
+        harness.add(RegistrarNode)
+        harness.clouds = harness.collect(PointCloud2, "cloud")
+        harness.diagnostics = harness.collect(DiagnosticArray, "/diagnostics")
+        scans = harness.publisher(LaserScan, "scan_vertical")
+        poses = harness.publisher(PoseWithCovarianceStamped, "pose")
+        harness.scan = lambda stamp: scans.publish(room_scan(stamp))
+
+        def pose(stamp, planar=(0.0, 0.0, 0.0), frame="map"):
+            head = Header(stamp=conversions.stamp_message(stamp), frame_id=frame)
+            poses.publish(conversions.planar_pose_message(head, planar, np.eye(3)))
+
+        harness.pose = pose
+        return harness
+
+    return start
+
+
+def test_a_scan_becomes_a_cloud_in_the_map_with_its_stamp(drive):
+    robot = drive()
+    robot.pose(99.9)
+    robot.scan(100.0)
+    robot.pose(100.1)
+    robot.wait_until(lambda: robot.clouds)
+    assert conversions.stamp_seconds(robot.clouds[0].header.stamp) == pytest.approx(100.0)
+    assert robot.clouds[0].header.frame_id == "map"
+
+
+def test_points_lie_where_the_laser_of_the_moving_robot_saw_them(drive):
+    robot = drive()
+    robot.pose(99.9, (1.0, 0.0, 0.0))
+    robot.scan(100.0)
+    robot.pose(100.1, (3.0, 0.0, 0.0))
+    robot.wait_until(lambda: robot.clouds)
+    cloud = conversions.cloud_from_message(robot.clouds[0])
+    # The laser at (2, 0, 0.6) scans the plane across the way; the walls of the scan's own room are 2 m to each side.
+    np.testing.assert_allclose(cloud.sensor, np.broadcast_to((2.0, 0.0, 0.6), cloud.points.shape), atol=1e-5)
+    np.testing.assert_allclose(cloud.points[:, 0], 2.0, atol=1e-5)
+    np.testing.assert_allclose([cloud.points[:, 1].min(), cloud.points[:, 1].max()], [-2.0, 2.0], atol=1e-5)
+
+
+def test_no_scan_is_lost_when_poses_come_late(drive):
+    robot = drive()
+    for step in range(20):
+        robot.scan(100.0 + 0.05 * step)
+    for step in range(22):
+        robot.pose(99.95 + 0.05 * step)
+    robot.wait_until(lambda: len(robot.clouds) == 20)
+
+
+def test_a_scan_for_which_no_pose_comes_is_counted(drive):
+    robot = drive(*MOUNTED, "-p", "max_wait:=1.0")
+    robot.pose(99.0)
+    robot.scan(100.0)
+    robot.scan(102.0)
+    robot.wait_until(lambda: value(robot.diagnostics, "dropped: scan, no pose came for 1 s") == "1")
+
+
+def test_poses_in_another_frame_are_dropped_and_counted(drive):
+    robot = drive()
+    robot.pose(100.0, frame="odom")
+    robot.wait_until(lambda: value(robot.diagnostics, "dropped: pose in another frame") == "1")
+
+
+def test_an_empty_trajectory_makes_it_forget_the_poses_of_the_old_map(drive):
+    robot = drive()
+    robot.pose(99.9)
+    robot.pose(100.3)
+    robot.publisher(Path, "trajectory", LATCHED).publish(Path())
+    robot.wait_until(lambda: value(robot.diagnostics, "received trajectory") == "1")
+    robot.scan(100.1)
+    robot.scan(100.4)
+    robot.pose(100.35, (5.0, 0.0, 0.0))
+    robot.pose(100.5, (5.0, 0.0, 0.0))
+    robot.wait_until(lambda: robot.clouds)
+    assert conversions.stamp_seconds(robot.clouds[0].header.stamp) == pytest.approx(100.4)
+
+
+def test_a_recording_that_starts_again_is_registered_again(drive):
+    robot = drive()
+    for received in (3, 6):
+        robot.pose(99.9)
+        robot.scan(100.0)
+        robot.pose(100.1)
+        robot.pose(200.0)
+        robot.wait_until(lambda received=received: value(robot.diagnostics, "received pose") == str(received))
+    assert [conversions.stamp_seconds(cloud.header.stamp) for cloud in robot.clouds] == [100.0, 100.0]
+
+
+def test_without_the_pose_of_the_laser_diagnostics_say_what_to_do(drive):
+    robot = drive("-p", "map_frame:=map")
+    robot.scan(100.0)
+    told = "no transform base_link <- laser: set `laser_pose` or publish it"
+    robot.wait_until(lambda: any(told in array.status[0].message for array in robot.diagnostics))
+
+
+def test_reset_forgets_waiting_scans(drive):
+    robot = drive()
+    robot.scan(100.0)
+    robot.wait_until(lambda: value(robot.diagnostics, "scans that wait for a pose") == "1")
+    assert robot.call(Trigger, "registrar_node/reset").success
+    robot.wait_until(lambda: value(robot.diagnostics[-1:], "scans that wait for a pose") == "0")
