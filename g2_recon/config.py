@@ -106,7 +106,7 @@ class RegistrationConfig(_Model):
     min_range: float = _setting(0.2, "nearer returns are the robot itself", "m", ge=0, le=10)
     max_range: float = _setting(30.0, "farther returns are not used", "m", ge=0.5, le=200)
     max_wait: float = _setting(
-        2.0,
+        30.0,
         "a scan for which no pose has come when scans this much newer have is dropped and counted",
         "s",
         ge=0,

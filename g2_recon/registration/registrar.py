@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections import Counter
 from dataclasses import dataclass
 
@@ -17,6 +18,10 @@ from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import PoseBuffer
 
 Float = NDArray[np.float64]
+
+
+# Poses are kept this long for scans that come late, as messages of two lasers overtake each other.
+_POSES_KEPT_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +47,9 @@ class Registrar:
     def reset(self) -> None:
         """Forget poses, waiting scans and counts."""
         self._poses = PoseBuffer()
-        self._waiting: list[Scan] = []
+        # A heap by the time of the last beam; the count keeps scans of equal time in the order in which they came.
+        self._waiting: list[tuple[float, int, Scan]] = []
+        self._count = 0
         self._newest_scan = -np.inf
         self._done: list[RegisteredScan] = []
         self._drops: Counter[str] = Counter()
@@ -64,7 +71,9 @@ class Registrar:
 
     def add_scan(self, scan: Scan) -> None:
         """Place a scan, now or when its poses have come."""
-        self._waiting.append(scan)
+        last_beam = scan.stamp + max(0.0, scan.time_increment * (len(scan.ranges) - 1))
+        heapq.heappush(self._waiting, (last_beam, self._count, scan))
+        self._count += 1
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._place_waiting()
 
@@ -75,27 +84,19 @@ class Registrar:
 
     def finish(self) -> list[RegisteredScan]:
         """What `take` returns, after giving up on scans that still wait: no more poses will come."""
-        for scan in self._waiting:
+        for _, _, scan in self._waiting:
             self._drops["after the last pose" if scan.stamp > self._poses.last_stamp else "before the first pose"] += 1
         self._waiting = []
         return self.take()
 
     def _place_waiting(self) -> None:
-        still_waiting = []
-        for scan in self._waiting:
-            if self._last_beam(scan) <= self._poses.last_stamp:
-                self._place(scan)
-            elif self._newest_scan - scan.stamp > self._config.max_wait:
-                self._drops[f"no pose came for {self._config.max_wait:g} s"] += 1
-            else:
-                still_waiting.append(scan)
-        self._waiting = still_waiting
-        oldest = min((scan.stamp for scan in still_waiting), default=np.inf)
-        self._poses.drop_before(min(oldest, self._poses.last_stamp - self._config.max_wait))
-
-    @staticmethod
-    def _last_beam(scan: Scan) -> float:
-        return scan.stamp + max(0.0, scan.time_increment * (len(scan.ranges) - 1))
+        while self._waiting and self._waiting[0][0] <= self._poses.last_stamp:
+            self._place(heapq.heappop(self._waiting)[2])
+        while self._waiting and self._newest_scan - self._waiting[0][2].stamp > self._config.max_wait:
+            heapq.heappop(self._waiting)
+            self._drops[f"no pose came for {self._config.max_wait:g} s"] += 1
+        oldest = self._waiting[0][2].stamp if self._waiting else np.inf
+        self._poses.drop_before(min(oldest, self._poses.last_stamp - _POSES_KEPT_S))
 
     def _place(self, scan: Scan) -> None:
         """Place one scan, or count why it cannot be placed."""

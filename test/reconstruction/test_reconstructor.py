@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from g2_recon.config import ReconstructionConfig
+from g2_recon.errors import InputError
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.reconstruction.reconstructor import Reconstructor, initial_clustering, reconstruct
+
+PAPER_CUBES = {"clusters": 12, "rows": 10, "columns": 5}
+
+
+def components(wire):
+    """Connected part (V,) of each neuron."""
+    count = len(wire.vertices)
+    graph = coo_array((np.ones(len(wire.edges)), wire.edges.T), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def parts_by_cube(wire):
+    part, left = components(wire), wire.vertices[:, 0] < 1.25
+    return set(part[left].tolist()), set(part[~left].tolist())
+
+
+@pytest.mark.parametrize("mode", ["paper", "solid"])
+@pytest.mark.parametrize("seed", range(10))
+def test_two_cubes_become_two_connected_graphs_with_no_join_between_them(two_cubes, mode, seed):
+    # A tenth of the published passes is enough for these 1452 points; the full schedule has a test of its own.
+    result = reconstruct(two_cubes, ReconstructionConfig(mode=mode, passes=1000, seed=seed, **PAPER_CUBES))
+    left, right = parts_by_cube(result.wire_mesh)
+    assert (len(left), len(right)) == (1, 1)
+    assert left != right
+
+
+def test_two_cubes_with_the_published_schedule(two_cubes):
+    result = reconstruct(two_cubes, ReconstructionConfig(mode="paper", **PAPER_CUBES))
+    left, right = parts_by_cube(result.wire_mesh)
+    assert (len(left), len(right)) == (1, 1)
+    assert left != right
+    assert result.quantization_error < 0.08
+
+
+def test_one_single_map_over_both_cubes_cannot_separate_them(two_cubes):
+    """The paper's figure 6."""
+    single = ReconstructionConfig(mode="paper", passes=1000, clusters=1, rows=20, columns=30, cluster_gap=1000)
+    wire = reconstruct(two_cubes, single).wire_mesh
+    left, right = parts_by_cube(wire)
+    assert left == right
+    x = wire.vertices[wire.edges][:, :, 0]
+    assert ((x.min(axis=1) < 1.05) & (x.max(axis=1) > 1.45)).any() or ((x > 1.05) & (x < 1.45)).any()
+
+
+def test_neurons_lie_on_the_surface_and_faces_look_into_the_room(corner):
+    result = reconstruct(corner, ReconstructionConfig(clusters=20))
+    distance = np.abs(result.wire_mesh.vertices).min(axis=1)
+    assert distance.mean() < 0.03
+    middle = result.mesh.vertices[result.mesh.faces].mean(axis=1)
+    inwards = np.einsum("ij,ij->i", result.mesh.face_normals(), (2.0, 1.5, 1.2) - middle) > 0
+    assert inwards.mean() > 0.95
+
+
+def test_clusters_of_mode_solid_stay_on_one_wall(corner):
+    wall = np.repeat(np.arange(3), 2000)
+
+    def purity(**settings_):
+        label = initial_clustering(corner, ReconstructionConfig(clusters=20, **settings_))
+        return np.mean([np.bincount(wall[label == k]).max() / np.sum(label == k) for k in range(label.max() + 1)])
+
+    # What is left are points at the edges, whose neighbors are on both walls.
+    assert purity() > 0.97
+    assert purity(flatness=0) < 0.9
+
+
+def test_the_result_does_not_depend_on_the_number_of_workers(corner):
+    for mode in ("solid", "paper"):
+        one, four = (
+            reconstruct(corner, ReconstructionConfig(mode=mode, passes=5, clusters=8, workers=workers)).mesh
+            for workers in (1, 4)
+        )
+        assert one.vertices.tolist() == four.vertices.tolist()
+        assert one.faces.tolist() == four.faces.tolist()
+
+
+def test_the_parts_of_a_result_fit_together(corner):
+    result = reconstruct(corner, ReconstructionConfig(clusters=20))
+    wire, mesh = result.wire_mesh, result.mesh
+    assert len(wire.vertices) == 50 * result.clusters
+    assert wire.edges.max() < len(wire.vertices)
+    assert (wire.submap[wire.edges[:, 0]] != wire.submap[wire.edges[:, 1]]).tolist() == wire.join.tolist()
+    assert (wire.submap[mesh.faces] == mesh.submap[:, None]).all()
+    assert np.isfinite(mesh.vertices).all()
+
+
+def test_progress_runs_through_the_phases_in_order(corner):
+    seen = []
+    reconstruct(
+        corner, ReconstructionConfig(clusters=4), progress=lambda stage, done, total: seen.append((stage, done / total))
+    )
+    stages = list(dict.fromkeys(stage for stage, _ in seen))
+    assert stages == ["clustering", "training", "joining", "re-optimization", "triangulation"]
+    assert all(max(share for name, share in seen if name == stage) == 1 for stage in stages)
+
+
+def test_small_clouds_get_fewer_clusters_than_asked(two_cubes):
+    result = reconstruct(two_cubes, ReconstructionConfig(clusters=1000))
+    assert result.clusters <= len(two_cubes) // 50 + 5
+
+
+def test_without_joins_or_borders_the_maps_stay_as_trained(two_cubes):
+    for settings_ in ({"theta": 0.0}, {"border_width": 0}):
+        result = reconstruct(two_cubes, ReconstructionConfig(clusters=12, **settings_))
+        assert np.isfinite(result.wire_mesh.vertices).all()
+
+
+def test_points_of_the_robot_itself_and_broken_points_are_left_out_and_counted(corner):
+    points, sensor = corner.points.copy(), corner.sensor.copy()
+    points[:5] = np.nan
+    points[5:12] = sensor[5:12] + (0.05, 0, 0)
+    result = reconstruct(Cloud(points, sensor), ReconstructionConfig(clusters=10))
+    assert result.left_out == {"not finite": 5, "nearer to the sensor than min_sensor_distance": 7}
+    assert result.points == len(points) - 12
+
+
+@pytest.mark.parametrize(
+    ("points", "said"),
+    [
+        (np.empty((0, 3)), "0 distinct usable points"),
+        (np.random.default_rng(0).random((3, 3)), "3 distinct usable points"),
+        (np.ones((1000, 3)), "1 distinct usable points"),
+        (np.full((100, 3), np.nan), "0 distinct usable points"),
+        (np.linspace(0, 1, 300).reshape(100, 3) @ np.ones((3, 3)), "one line"),
+    ],
+    ids=["empty", "three points", "all equal", "all NaN", "collinear"],
+)
+def test_a_cloud_that_holds_no_surface_is_refused_in_one_line(points, said):
+    with pytest.raises(InputError, match=said) as error:
+        reconstruct(Cloud(points), ReconstructionConfig())
+    assert "\n" not in str(error.value)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    arrays(
+        np.float64,
+        st.tuples(st.integers(0, 150), st.just(3)),
+        elements=st.floats(-1e6, 1e6) | st.sampled_from([0.0, 1.0]),
+    ),
+    st.integers(1, 6),
+    st.sampled_from(["solid", "paper"]),
+)
+def test_any_cloud_gives_a_finite_mesh_or_an_input_error(points, clusters, mode):
+    config = ReconstructionConfig(mode=mode, clusters=clusters, rows=3, columns=2, passes=3)
+    try:
+        result = reconstruct(Cloud(points, points + 5), config)
+    except InputError:
+        return
+    assert np.isfinite(result.mesh.vertices).all()
+    assert np.isfinite(result.quantization_error)
+
+
+def test_clouds_that_come_one_by_one_count_like_one_cloud(corner):
+    stage = Reconstructor(ReconstructionConfig(clusters=10))
+    for part in np.array_split(np.arange(len(corner)), 7):
+        stage.add_cloud(corner.select(part))
+    whole = reconstruct(corner, ReconstructionConfig(clusters=10))
+    assert stage.reconstruct().mesh.vertices.tolist() == whole.mesh.vertices.tolist()
+    stage.reset()
+    assert len(stage.cloud()) == 0
