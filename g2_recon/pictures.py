@@ -30,7 +30,8 @@ _CEILING = -0.7
 
 def draw_floor_plan(path: str | Path, point_map: Float, trajectory: Trajectory) -> None:
     """The point map (N, 2) from above with the way of the robot in it, colored by time; axes in metres."""
-    size = np.maximum(np.ptp(np.vstack([point_map, trajectory.positions[:, :2]]), axis=0), 1.0)
+    shown = np.vstack([point_map, trajectory.positions[:, :2]])
+    size = np.maximum(np.ptp(shown, axis=0), 1.0) if len(shown) else np.ones(2)
     figure = Figure(figsize=(10, float(np.clip(10 * size[1] / size[0], 4, 16))), layout="constrained")
     axes = figure.add_subplot()
     # A dot stands for a few centimetres of wall, however large the building is.

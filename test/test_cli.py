@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""The command as a user calls it: files in, files out, exit status and what is said."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from g2_recon import config
+from g2_recon.cli import build_parser, bundled_recording, main
+from g2_recon.config import G2ReconConfig, ReconstructionConfig
+from g2_recon.recording.clouds import read_cloud
+from g2_recon.recording.recordings import read_recording
+from g2_recon.recording.trajectories import read_tum
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+COMMANDS = ["demo", "run", "localize", "reconstruct", "import", "simulate"]
+
+
+def needs(path):
+    return pytest.mark.skipif(not path.exists(), reason=f"the recording {path.name} is not here")
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    assert main(["demo", "-o", str(folder)]) == 0
+    return folder
+
+
+def refused(capsys, *arguments):
+    """The one line that a refused command says."""
+    assert main([str(argument) for argument in arguments]) == 1
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("g2-recon: ")]
+    assert len(said) == 1
+    return said[0]
+
+
+def test_the_demo_writes_every_file_and_each_loads(demo):
+    assert len(read_tum(demo / "trajectory.tum")) > 6000
+    assert read_cloud(demo / "cloud.ply").sensor is not None
+    assert config.load(demo / "config.yaml") == G2ReconConfig()
+    meshes = [trimesh.load(demo / name, process=False, force="mesh") for name in ("mesh.ply", "mesh.glb")]
+    assert len(meshes[0].faces) == len(meshes[1].faces) > 5000
+    assert len(trimesh.load(demo / "wire_mesh.ply", process=False).vertices) > 5000
+    for name in ("floor_plan.png", "mesh.png"):
+        assert (demo / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_demo_stays_within_the_precision_of_the_paper(demo):
+    summary = json.loads((demo / "summary.json").read_text())
+    assert summary["trajectory_error_m"] <= 0.05
+    assert summary["points"] == pytest.approx(126_000, rel=0.03)
+    assert summary["dropped"] == {}
+    assert summary["unmatched_scans"] == 0
+
+
+def test_the_demo_is_the_run_on_the_bundled_recording(demo, tmp_path):
+    assert main(["run", str(bundled_recording()), "-o", str(tmp_path), "--config", str(demo / "config.yaml")]) == 0
+    assert (tmp_path / "mesh.ply").read_bytes() == (demo / "mesh.ply").read_bytes()
+    assert (tmp_path / "trajectory.tum").read_bytes() == (demo / "trajectory.tum").read_bytes()
+
+
+def test_neurons_of_the_demo_lie_near_the_true_surfaces(demo):
+    truth = np.load(bundled_recording() / "truth" / "surfaces.npz")
+    surface = trimesh.Trimesh(truth["truth_vertices"], truth["truth_faces"], process=False)
+    samples, _ = trimesh.sample.sample_surface(surface, 400_000, seed=0)
+    neurons = trimesh.load(demo / "wire_mesh.ply", process=False).vertices
+    from scipy.spatial import cKDTree
+
+    assert cKDTree(samples).query(neurons)[0].mean() < 0.10
+
+
+def test_the_bundled_recording_says_that_it_is_simulated():
+    metadata = yaml.safe_load((bundled_recording() / "metadata.yaml").read_text())
+    assert "no robot has driven here" in metadata["rosbag2_bagfile_information"]["custom_data"]["simulated"]
+
+
+def test_localize_writes_a_pose_a_scan_and_a_floor_plan(tmp_path):
+    target = tmp_path / "way.tum"
+    assert main(["localize", str(bundled_recording()), "-o", str(target)]) == 0
+    assert len(read_tum(target)) == len(read_recording(bundled_recording()).scans)
+    assert (tmp_path / "way.png").exists()
+
+
+@needs(DATA / "carmen" / "aces.clf.bz2")
+def test_aces_is_localized_better_than_published_scan_matching(tmp_path, capsys):
+    log, relations = DATA / "carmen" / "aces.clf.bz2", DATA / "relations" / "aces.relations"
+    assert main(["localize", str(log), "-o", str(tmp_path / "aces.tum"), "--relations", str(relations)]) == 0
+    shown = capsys.readouterr().err
+    error = float(shown.split("translation error")[1].split()[1])
+    # Scan matching in Kuemmerle et al. 2009.
+    assert error < 0.173
+
+
+@needs(DATA / "sweeps" / "pcl_room" / "room_scan1.pcd")
+def test_a_room_is_reconstructed_from_a_sweep(tmp_path):
+    cloud = DATA / "sweeps" / "pcl_room" / "room_scan1.pcd"
+    assert main(["reconstruct", str(cloud), "-o", str(tmp_path / "room.obj")]) == 0
+    mesh = trimesh.load(tmp_path / "room.obj", process=False, force="mesh")
+    assert len(mesh.faces) > 5000
+    assert (tmp_path / "room.png").exists()
+    assert (tmp_path / "room_wire.ply").exists()
+
+
+@needs(DATA / "carmen" / "laserazosSM3.log.gz")
+def test_an_imported_log_is_the_log(tmp_path):
+    log = DATA / "carmen" / "laserazosSM3.log.gz"
+    assert main(["import", str(log), "-o", str(tmp_path / "bag")]) == 0
+    written, original = read_recording(tmp_path / "bag"), read_recording(log)
+    assert len(written.scans) == len(original.scans) == 778
+    assert np.array_equal(written.scans[5].ranges, original.scans[5].ranges, equal_nan=True)
+
+
+def test_simulate_writes_a_bag_with_its_truth_and_does_not_replace_it_unasked(tmp_path, capsys):
+    bag = tmp_path / "bag"
+    arguments = ["simulate", "-o", str(bag), "--vertical-every", "500", "--horizontal-every", "100"]
+    assert main(arguments) == 0
+    assert (bag / "truth" / "surfaces.npz").exists()
+    assert len(read_tum(bag / "truth" / "trajectory.tum")) > 1000
+    assert "bag" in refused(capsys, *arguments)
+    assert main([*arguments, "--force"]) == 0
+    assert (bag / "truth" / "surfaces.npz").exists()
+
+
+def test_the_bundled_recording_can_be_made_again(tmp_path):
+    """The file is what the command of today makes."""
+    assert main(["simulate", "-o", str(tmp_path / "bag")]) == 0
+    again, bundled = read_recording(tmp_path / "bag"), read_recording(bundled_recording())
+    assert len(again.scans) == len(bundled.scans)
+    assert all(
+        np.array_equal(one.ranges, other.ranges)
+        for one, other in zip(again.scans_vertical, bundled.scans_vertical, strict=True)
+    )
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_each_option(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        build_parser().parse_args([command, "--help"])
+    assert stop.value.code == 0
+    assert "--verbose" in capsys.readouterr().out
+
+
+def test_every_setting_of_a_stage_is_an_option_of_its_command(capsys):
+    for command, model, prefix in (
+        ("reconstruct", ReconstructionConfig, ""),
+        ("run", ReconstructionConfig, "reconstruction."),
+    ):
+        with pytest.raises(SystemExit):
+            build_parser().parse_args([command, "--help"])
+        shown = capsys.readouterr().out
+        for setting in config.settings(model):
+            assert f"--{prefix}{setting.name.replace('_', '-')}" in shown
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["fly"], ["localize"], ["reconstruct", "x.ply", "--theta", "much"], ["demo", "--speed", "9"]]
+)
+def test_bad_usage_ends_with_status_2(arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+
+
+@pytest.mark.parametrize("command", ["run", "localize", "reconstruct"])
+def test_a_missing_file_is_one_line_and_status_1(command, tmp_path, capsys):
+    assert "nowhere.ply" in refused(capsys, command, tmp_path / "nowhere.ply")
+
+
+def test_a_setting_out_of_its_range_is_one_line_and_status_1(tmp_path, capsys):
+    assert "theta" in refused(capsys, "reconstruct", tmp_path / "cloud.ply", "--theta", "99")
+
+
+def test_an_unknown_kind_of_mesh_is_refused_before_the_work(tmp_path, capsys):
+    assert ".glb" in refused(capsys, "reconstruct", tmp_path / "cloud.ply", "-o", tmp_path / "mesh.blend")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("0 0 0\n1 0 0\n0 1 0\n", "3 distinct usable points"), ("1 1 1\n" * 500, "1 distinct usable points")],
+    ids=["three points", "all equal"],
+)
+def test_a_cloud_without_a_surface_is_one_line_and_status_1(tmp_path, capsys, text, said):
+    file = tmp_path / "cloud.xyz"
+    file.write_text(text)
+    assert said in refused(capsys, "reconstruct", file)
+
+
+def test_a_log_without_a_scan_is_one_line_and_status_1(tmp_path, capsys):
+    file = tmp_path / "empty.log"
+    file.write_text("# nothing\nODOM 0 0 0 0 0 0 1.0 host 1.0\n")
+    assert "empty.log" in refused(capsys, "localize", file)
+
+
+def test_a_truncated_bag_is_one_line_and_status_1_or_what_is_left_of_it(tmp_path, capsys):
+    whole = next(bundled_recording().glob("*.mcap")).read_bytes()
+    for share in (0.0, 0.001, 0.5):
+        file = tmp_path / f"cut_{share}.mcap"
+        file.write_bytes(whole[: int(share * len(whole))])
+        if main(["localize", str(file), "-o", str(tmp_path / "way.tum")]) == 0:
+            assert share == 0.5
+            assert 0 < len(read_tum(tmp_path / "way.tum")) < 6000
+        else:
+            assert share < 0.5
+
+
+def test_a_folder_that_cannot_be_written_is_one_line_and_status_1(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    cloud = tmp_path / "cloud.xyz"
+    np.savetxt(cloud, np.random.default_rng(0).random((500, 3)))
+    assert "cannot be written" in refused(capsys, "reconstruct", cloud, "-o", tmp_path / "file" / "mesh.ply")
+
+
+def test_the_command_runs_as_a_process_of_its_own():
+    shown = subprocess.run(
+        [sys.executable, "-m", "g2_recon.cli", "--version"], capture_output=True, text=True, check=True
+    )
+    assert shown.stdout.startswith("g2-recon 0.")
