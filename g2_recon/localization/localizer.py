@@ -61,7 +61,7 @@ class Localizer:
         self._poses: list[Float] = []
         self._keyframes: list[int] = []
         self._start = np.array(pose, float)
-        self._last_step = np.zeros(3)
+        self._last_step: Float = np.zeros(3)
         self._odometry: Float | None = None
         self._covariance: Float = np.zeros((3, 3))
         self.unmatched = 0
@@ -83,7 +83,8 @@ class Localizer:
             self._covariance = self._covariance + np.diag(sigma**2)
             # The first scan has no map to match.
             self.unmatched += bool(self._poses)
-        self._last_step = se2.relative(self._poses[-1], pose) if self._poses else np.zeros(3)
+        if self._poses:
+            self._last_step = se2.relative(self._poses[-1], pose)
         self._stamps.append(scan.stamp)
         self._poses.append(pose)
         keyframe = self._grow_map(points, normals, pose, matched=matched)
@@ -122,9 +123,10 @@ class Localizer:
         if not self._poses:
             return self._start, np.zeros(3)
         if measured is None or last is None:
-            step, floor = self._last_step, _GUESS_FLOOR_WITHOUT_ODOMETRY
-        else:
-            step, floor = se2.relative(last, measured), _GUESS_FLOOR
+            return self._moved_on(self._last_step, _GUESS_FLOOR_WITHOUT_ODOMETRY)
+        return self._moved_on(se2.relative(last, measured), _GUESS_FLOOR)
+
+    def _moved_on(self, step: Float, floor: Float) -> tuple[Float, Float]:
         way = np.hypot(step[0], step[1])
         return se2.compose(self._poses[-1], step), floor + _GUESS_SHARE * (way, way, abs(step[2]))
 

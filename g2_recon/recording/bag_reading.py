@@ -319,7 +319,7 @@ def _assemble(found: _Found, mounts: dict[str, NDArray[np.float64] | None], drop
 
 
 def _to_trajectory(rows: list[tuple[float, ...]], drops: Counter[str]) -> Trajectory:
-    table = np.array(rows, float).reshape(-1, 8)
+    table: NDArray[np.float64] = np.array(rows, float).reshape(-1, 8)
     good = sound_poses(table[:, 1:4], table[:, 4:])
     if not good.all():
         drops["odometry messages whose pose is not finite or no rotation"] += int((~good).sum())

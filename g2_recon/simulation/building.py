@@ -218,7 +218,7 @@ def _merge(faces: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
         run = left[row, column:]
         width = int(np.argmin(run)) if not run.all() else len(run)
         columns = slice(int(column), int(column) + width)
-        full = left[row:, columns].all(axis=1)
+        full = np.asarray(left[row:, columns].all(axis=1))
         height = int(np.argmin(full)) if not full.all() else len(full)
         rows = slice(int(row), int(row) + height)
         left[rows, columns] = False

@@ -133,7 +133,7 @@ def _turn(pose: Float, yaw: float, config: SimulationConfig) -> Float:
     angle = float(se2.wrap_angle(yaw - pose[2] + _TURN_STEP)) - _TURN_STEP
     if abs(angle) < _TURN_STEP:
         return np.empty((0, 3))
-    turned = np.linspace(0.0, abs(angle), math.ceil(abs(angle) / _TURN_STEP) + 1)
+    turned = np.linspace(0.0, abs(angle), math.ceil(abs(angle) / _TURN_STEP) + 1).astype(float)
     # The wheels accelerate as they do on a straight line.
     at = _progress_along(turned, np.full(len(turned), config.max_turn_rate), config.acceleration / (WHEEL_BASE / 2))
     return np.column_stack([np.tile(pose[:2], (len(at), 1)), pose[2] + math.copysign(1.0, angle) * at])
