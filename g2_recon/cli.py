@@ -8,18 +8,13 @@ import argparse
 import logging
 import sys
 import sysconfig
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 from rich.console import Console
 from rich.logging import RichHandler
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as RichProgress
-from rich.table import Table
 
 import g2_recon
 from g2_recon import config, pictures, pipeline
@@ -41,6 +36,7 @@ from g2_recon.recording.meshes import MESH_ENDINGS, write_mesh, write_wire_mesh
 from g2_recon.recording.recordings import read_recording
 from g2_recon.recording.trajectories import read_tum, write_tum
 from g2_recon.simulation.simulator import simulate
+from g2_recon.terminal import StageProgress, print_table, stages
 
 BUNDLED_RECORDING = "first_floor"
 TRUTH_TRAJECTORY = Path("truth") / "trajectory.tum"
@@ -123,7 +119,7 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
         rows["relations"] = f"{score.relations:,} ({score.missed:,} missed)"
         rows["translation error"] = f"{score.translation_mean:.4f} +- {score.translation_std:.4f} m"
         rows["rotation error"] = f"{score.rotation_mean:.3f} +- {score.rotation_std:.3f} deg"
-    _print_table("localized", rows, progress, console)
+    print_table("localized", rows, progress, console)
     console.print(f"trajectory: {target}\nfloor plan: {plan}", highlight=False)
 
 
@@ -143,7 +139,7 @@ def run_reconstruct(options: argparse.Namespace, console: Console) -> None:
         write_wire_mesh(wire_target, result.wire_mesh)
         pictures.draw_mesh(picture, result.mesh, result.wire_mesh)
         progress("writing", 1, 1)
-    _print_table("reconstructed", _reconstruction_rows(result), progress, console)
+    print_table("reconstructed", _reconstruction_rows(result), progress, console)
     console.print(f"mesh: {target}\nwire mesh: {wire_target}\npicture: {picture}", highlight=False)
 
 
@@ -156,7 +152,7 @@ def run_import(options: argparse.Namespace, console: Console) -> None:
         )
         progress("writing", 1, 1)
     rows = {"scans": len(recording.scans), "odometry": len(recording.odometry), **recording.drops}
-    _print_table("imported", rows, progress, console)
+    print_table("imported", rows, progress, console)
     console.print(f"bag: {options.output}", highlight=False)
 
 
@@ -182,7 +178,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> None:
         "tilted scans": len(recording.scans_tilt),
         "way": f"{simulation.trajectory.length():.1f} m",
     }
-    _print_table("simulated", rows, progress, console)
+    print_table("simulated", rows, progress, console)
     console.print(f"bag: {options.output}", highlight=False)
 
 
@@ -202,41 +198,6 @@ def _install_prefixes() -> Iterator[str]:
     yield from map(str, Path(g2_recon.__file__).parents[2:6])
 
 
-# What a user sees
-
-
-class StageProgress:
-    """A progress bar a stage, and the seconds that each took."""
-
-    def __init__(self, bars: RichProgress) -> None:
-        self._bars = bars
-        self._tasks: dict[str, TaskID] = {}
-        self._since = time.perf_counter()
-        self.seconds: dict[str, float] = {}
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """Move the bar of a stage; a stage starts when the one before it was last heard of."""
-        now = time.perf_counter()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._since
-        self._since = now
-        if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(stage, total=total)
-        self._bars.update(self._tasks[stage], completed=done, total=total)
-
-
-@contextmanager
-def stages(console: Console) -> Iterator[StageProgress]:
-    """Progress bars on standard error while the block runs."""
-    columns = (
-        TextColumn("{task.description:<16}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with RichProgress(*columns, console=console) as bars:
-        yield StageProgress(bars)
-
-
 def _print_summary(summary: Mapping[str, Any], progress: StageProgress, folder: Path, console: Console) -> None:
     rows = {
         "points": f"{summary['points']:,}",
@@ -249,7 +210,7 @@ def _print_summary(summary: Mapping[str, Any], progress: StageProgress, folder: 
     if "trajectory_error_m" in summary:
         rows["mean trajectory error"] = f"{100 * summary['trajectory_error_m']:.2f} cm"
     rows |= {f"dropped: {reason}": f"{count:,}" for reason, count in summary["dropped"].items()}
-    _print_table("done", rows, progress, console)
+    print_table("done", rows, progress, console)
     console.print(f"files: {folder}", highlight=False)
 
 
@@ -263,19 +224,6 @@ def _reconstruction_rows(result: Reconstruction) -> dict[str, Any]:
         "quantization error": f"{100 * result.quantization_error:.2f} cm",
         **{f"left out: {reason}": f"{count:,}" for reason, count in result.left_out.items()},
     }
-
-
-def _print_table(title: str, rows: Mapping[str, Any], progress: StageProgress, console: Console) -> None:
-    table = Table(title=title, show_header=False, title_justify="left")
-    table.add_column()
-    table.add_column(justify="right")
-    for name, value in rows.items():
-        table.add_row(name, str(value))
-    table.add_section()
-    for stage, seconds in progress.seconds.items():
-        table.add_row(stage, f"{seconds:.2f} s")
-    table.add_row("in all", f"{sum(progress.seconds.values()):.2f} s")
-    console.print(table)
 
 
 # The command line, made from the settings

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +37,9 @@ class RelationsScore:
 def read_relations(path: str | Path) -> NDArray[np.float64]:
     """Rows (N, 8) of stamp1 stamp2 x y z roll pitch yaw: the true pose at stamp2 seen from that at stamp1."""
     try:
-        rows = np.loadtxt(path, ndmin=2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # an empty file: said below
+            rows = np.loadtxt(path, ndmin=2)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror or error}", where=path) from error
     except ValueError as error:
