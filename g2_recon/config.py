@@ -123,52 +123,70 @@ class RegistrationConfig(_Model):
 
 
 class ReconstructionConfig(_Model):
-    """Clusters, one self-organizing map a cluster, joins, border re-optimization, triangles."""
+    """Clusters, one self-organizing map a cluster, joins, borders fitted once more."""
 
     mode: Literal["solid", "paper"] = _setting(
-        "solid", "solid: batch training, small final neighborhood; paper: the published iterative rule and schedule"
+        "solid", "solid: a mesh of triangles over flat clusters; paper: the published method, a wire mesh"
     )
-    clusters: int = _setting(
-        100,
-        "clusters, and so submaps, at most; small clouds get fewer, each with a point a neuron or more",
-        ge=1,
-        le=100_000,
-    )
-    flatness: float = _setting(
-        1.0, "mode solid: how far apart a right angle between two surfaces moves them in clustering", "m", ge=0, le=100
-    )
-    cluster_gap: float = _setting(
-        0.4, "parts of a cluster farther apart than this become clusters of their own", "m", ge=0.001, le=1000
-    )
-    rows: int = _setting(10, "neurons along one side of each lattice", ge=2, le=200)
-    columns: int = _setting(5, "neurons along the other side of each lattice", ge=2, le=200)
-    passes: int = _setting(10_000, "mode paper: presentations of all data to each map", ge=1, le=1_000_000)
-    epochs: int = _setting(30, "mode solid: batch updates of each map", ge=1, le=100_000)
-    neighborhood_end: float = _setting(
-        0.35, "mode solid: final width of the neighborhood, in lattice steps; in mode paper it is 1", ge=0.1, le=10
-    )
-    learning_rate_start: float = _setting(0.5, "mode paper: learning rate at the start", ge=0, le=1)
-    learning_rate_end: float = _setting(0.005, "mode paper: learning rate at the end", ge=0, le=1)
     theta: float = _setting(
         1.8, "border neurons are joined when nearer than this many mean distances to lattice neighbors", ge=0, le=10
     )
-    border_width: int = _setting(
-        2,
-        "rings of neurons that are re-optimized, counted from the joined border neurons inwards; 0: none",
-        ge=0,
-        le=100,
-    )
-    border_passes: int = _setting(20, "passes over the border data in the re-optimization", ge=1, le=100_000)
+    epochs: int = _setting(30, "updates of each map by the batch rule", ge=1, le=100_000)
     min_sensor_distance: float = _setting(
         0.2, "points nearer to where they were seen from are the robot itself and are left out", "m", ge=0, le=10
     )
+    spacing: float = _setting(0.2, "mode solid: distance of neighboring neurons", "m", ge=0.001, le=100)
+    patch_area: float = _setting(
+        0.0,
+        "mode solid: surface for one cluster at first; bends and gaps part them further; 0: that of 40 cells",
+        "m^2",
+        ge=0,
+        le=1e6,
+    )
+    flatness: float = _setting(
+        0.0,
+        "mode solid: how far points may lie off the plane of their cluster, if that is over 4.5 sigma of noise; 0: a "
+        "fifth of the spacing",
+        "m",
+        ge=0,
+        le=10,
+    )
     support_distance: float = _setting(
-        0.3, "mode solid: a triangle is kept where data lies this near to all of it", "m", ge=0.01, le=100
+        0.0, "mode solid: a triangle is kept where data lies this near to all of it; 0: the spacing", "m", ge=0, le=100
+    )
+    clusters: int = _setting(
+        100,
+        "mode paper: clusters, and so submaps; small clouds get fewer, each with a point a neuron or more",
+        ge=1,
+        le=100_000,
+    )
+    cluster_gap: float = _setting(
+        0.4,
+        "mode paper: parts of a cluster farther apart than this become clusters of their own",
+        "m",
+        ge=0.001,
+        le=1000,
+    )
+    rows: int = _setting(10, "mode paper: neurons along one side of each lattice", ge=2, le=200)
+    columns: int = _setting(5, "mode paper: neurons along the other side of each lattice", ge=2, le=200)
+    training: Literal["iterative", "batch"] = _setting(
+        "iterative",
+        "mode paper: rule of training; iterative is the published one, batch is about a hundred times faster",
+    )
+    passes: int = _setting(10_000, "iterative rule: presentations of all data to each map", ge=1, le=1_000_000)
+    learning_rate_start: float = _setting(0.5, "iterative rule: learning rate at the start", ge=0, le=1)
+    learning_rate_end: float = _setting(0.005, "iterative rule: learning rate at the end", ge=0, le=1)
+    border_width: int = _setting(
+        2,
+        "mode paper: rings of neurons that are re-optimized, counted from the joined border neurons inwards; 0: none",
+        ge=0,
+        le=100,
+    )
+    border_passes: int = _setting(
+        20, "mode paper: passes over the border data in the re-optimization", ge=1, le=100_000
     )
     seed: int = _setting(0, "seed of everything random", ge=0, le=2**31 - 1)
-    workers: int = _setting(
-        0, "threads that train maps; 0: one a processor; the result does not depend on it", ge=0, le=1024
-    )
+    workers: int = _setting(0, "threads; 0: one a processor; the result does not depend on it", ge=0, le=1024)
 
 
 class SimulationConfig(_Model):

@@ -58,7 +58,9 @@ def test_the_demo_stays_within_the_precision_of_the_paper(demo):
     summary = json.loads((demo / "summary.json").read_text())
     assert summary["trajectory_error_m"] <= 0.05
     assert summary["points"] == pytest.approx(126_000, rel=0.03)
-    assert summary["dropped"] == {}
+    # Mixed pixels, which hang in the air between near and far.
+    assert set(summary["dropped"]) <= {"isolated", "off the surface of their neighbors"}
+    assert sum(summary["dropped"].values()) < 0.005 * summary["points"]
     assert summary["unmatched_scans"] == 0
 
 

@@ -1,37 +1,239 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""Surface normals of a cloud."""
+"""Surface normals: planes through the neighbors of each point, and which of their two sides is the outer one."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-
-from g2_recon.geometry.cloud import Cloud
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 Float = NDArray[np.float64]
 
-# Enough neighbors to reach the next scan line beside the own one.
-_NEIGHBORS = 24
+# Directions along a surface in which a point has one neighbor each.
+SECTORS = 8
+
+_JACOBI_SWEEPS = 8
+
+# A point takes over the plane of a neighbor that it fits this much better, so many times in turn.
+_BETTER = 0.5
+_SHARPENINGS = 3
 
 
-def estimate_normals(cloud: Cloud, *, workers: int = 1) -> Float:
-    """Unit normals (N, 3): the direction in which the nearest neighbors of a point scatter least.
+@dataclass(frozen=True, slots=True)
+class LocalPlanes:
+    """Planes through the neighbors of M points.
 
-    Turned towards where the point was seen from; of arbitrary sign where the cloud has no sensor positions.
+    middles: (M, 3) m, means of the neighbors. normals: (M, 3) unit, of arbitrary sign. spread: (M, 3) m, standard
+    deviation of the neighbors along the three principal axes, ascending. count: (M,) neighbors, the point itself among
+    them. around: (M, 8) the nearest neighbor in each eighth of the directions along the plane, -1 where there is none;
+    points at the same place are in no direction.
     """
-    count = min(_NEIGHBORS, len(cloud))
-    index = cKDTree(cloud.points).query(cloud.points, k=count, workers=workers)[1].reshape(-1, count)
-    # Sums over the neighborhood, relative to the point itself so that large coordinates cost no precision.
-    total, squares = np.zeros((len(cloud), 3)), np.zeros((len(cloud), 3, 3))
-    for neighbor in index.T:
-        offset = cloud.points[neighbor] - cloud.points
-        total += offset
-        squares += offset[:, :, None] * offset[:, None, :]
-    scatter = squares / count - (total[:, :, None] * total[:, None, :]) / count**2
-    normal = np.linalg.eigh(scatter)[1][:, :, 0]
-    if cloud.sensor is not None:
-        away = np.einsum("ij,ij->i", normal, cloud.sensor - cloud.points) < 0
-        normal = np.where(away[:, None], -normal, normal)
-    return normal
+
+    middles: Float
+    normals: Float
+    spread: Float
+    count: NDArray[np.int64]
+    around: NDArray[np.int32]
+
+
+def fit_local_planes(points: Float, rows: NDArray[np.int64], index: NDArray[np.int64]) -> LocalPlanes:
+    """Fit a plane to the neighbors `index` (M, k) of each of the points `rows` (M,).
+
+    points: (N, 3). Neighbors are in order of distance; N stands for none, as from a tree of SciPy. Runs without the
+    global interpreter lock.
+    """
+    middles, normals, spread = np.empty((3, len(rows), 3))
+    count = np.empty(len(rows), np.int64)
+    around = np.full((len(rows), SECTORS), -1, np.int32)
+    _fit_local_planes(points, rows, index, middles, normals, spread, count, around)
+    return LocalPlanes(middles, normals, spread, count, around)
+
+
+@numba.njit(cache=True, nogil=True)
+def _fit_local_planes(points, rows, index, middles, normals, spread, count, around):  # type: ignore[no-untyped-def]
+    matrix, axes, square = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for row in range(len(rows)):
+        x, y, z = points[rows[row]]
+        # Sums are relative to the point itself so that large coordinates cost no precision.
+        sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+        number = 0
+        for j in index[row]:
+            if j < len(points):
+                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                sx, sy, sz = sx + dx, sy + dy, sz + dz
+                xx, xy, xz = xx + dx * dx, xy + dx * dy, xz + dx * dz
+                yy, yz, zz = yy + dy * dy, yz + dy * dz, zz + dz * dz
+                number += 1
+        count[row] = number
+        share = 1.0 / max(number, 1)
+        middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
+        matrix[0, 0] = xx - sx * sx * share
+        matrix[1, 1] = yy - sy * sy * share
+        matrix[2, 2] = zz - sz * sz * share
+        matrix[0, 1] = matrix[1, 0] = xy - sx * sy * share
+        matrix[0, 2] = matrix[2, 0] = xz - sx * sz * share
+        matrix[1, 2] = matrix[2, 1] = yz - sy * sz * share
+        _principal_axes(matrix, axes, square)
+        for a in range(3):
+            normals[row, a] = axes[a, 0]
+            # Three degrees of freedom of the noise went into the plane.
+            spread[row, a] = np.sqrt(max(square[a], 0.0) / max(number - 3, 1))
+        for j in index[row]:
+            if j < len(points):
+                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                if dx == 0.0 and dy == 0.0 and dz == 0.0:
+                    continue
+                u = dx * axes[0, 2] + dy * axes[1, 2] + dz * axes[2, 2]
+                v = dx * axes[0, 1] + dy * axes[1, 1] + dz * axes[2, 1]
+                sector = (4 if v < 0 else 0) + (2 if u < 0 else 0) + (1 if abs(v) > abs(u) else 0)
+                if around[row, sector] < 0:
+                    around[row, sector] = j
+
+
+@numba.njit(cache=True, nogil=True)
+def _principal_axes(matrix, axes, square):  # type: ignore[no-untyped-def]
+    """Eigenvectors (columns of axes) and ascending eigenvalues of a symmetric matrix, which is used up.
+
+    Cyclic Jacobi rotations (Golub & Van Loan, Matrix Computations, section 8.5): exact for degenerate matrices too.
+    """
+    axes[:] = 0.0
+    for a in range(3):
+        axes[a, a] = 1.0
+    size = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+    for _ in range(_JACOBI_SWEEPS):
+        if abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2]) <= 1e-14 * size:
+            break
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            if matrix[p, q] == 0.0:
+                continue
+            theta = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
+            tangent = (1.0 if theta >= 0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+            cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+            sine = tangent * cosine
+            r = 3 - p - q
+            matrix[p, p] -= tangent * matrix[p, q]
+            matrix[q, q] += tangent * matrix[p, q]
+            matrix[p, q] = matrix[q, p] = 0.0
+            rp, rq = matrix[r, p], matrix[r, q]
+            matrix[r, p] = matrix[p, r] = cosine * rp - sine * rq
+            matrix[r, q] = matrix[q, r] = sine * rp + cosine * rq
+            for a in range(3):
+                ap, aq = axes[a, p], axes[a, q]
+                axes[a, p] = cosine * ap - sine * aq
+                axes[a, q] = sine * ap + cosine * aq
+    for a in range(3):
+        square[a] = matrix[a, a]
+    for a, b in ((0, 1), (1, 2), (0, 1)):
+        if square[b] < square[a]:
+            square[a], square[b] = square[b], square[a]
+            for c in range(3):
+                axes[c, a], axes[c, b] = axes[c, b], axes[c, a]
+
+
+def sharper_planes(
+    points: Float, middles: Float, normals: Float, deviation: Float, neighbors: NDArray[np.int32]
+) -> NDArray[np.int64]:
+    """For each point the one (N,) among those around it whose plane it lies on better than on its own, or itself.
+
+    The neighbors of a point at a crease are on both of its sides and their plane is on neither; those of a point
+    farther from the crease are on one. middles, normals: (N, 3) planes. deviation: (N,) m, of the neighbors across
+    them. neighbors: (N, m), the point itself for none. A plane is better where its deviation and the distance of the
+    point from it, taken together, are less than half.
+    """
+    owner = np.arange(len(points))
+    for _ in range(_SHARPENINGS):
+        owner = _sharper_planes(points, middles, normals, deviation**2, neighbors, owner)
+    return owner
+
+
+@numba.njit(cache=True, nogil=True)
+def _sharper_planes(points, middles, normals, variance, neighbors, owner):  # type: ignore[no-untyped-def]
+    result = owner.copy()
+    for i in range(len(points)):
+        least = _BETTER**2 * _misfit(points[i], middles, normals, variance, owner[i])
+        for j in neighbors[i]:
+            misfit = _misfit(points[i], middles, normals, variance, owner[j])
+            if misfit < least:
+                least = misfit
+                result[i] = owner[j]
+    return result
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _misfit(point, middles, normals, variance, plane):  # type: ignore[no-untyped-def]
+    height = 0.0
+    for a in range(3):
+        height += (point[a] - middles[plane, a]) * normals[plane, a]
+    return variance[plane] + height * height
+
+
+def orient_to_sensor(points: Float, normals: Float, sensor: Float) -> Float:
+    """Normals (N, 3) turned towards where each point was seen from; all arrays (N, 3)."""
+    away = np.einsum("ij,ij->i", normals, sensor - points) < 0
+    return np.where(away[:, None], -normals, normals)
+
+
+def orient_consistently(points: Float, normals: Float, neighbors: NDArray[np.int32]) -> Float:
+    """Normals (N, 3) with signs that agree along the surface, outwards on closed objects.
+
+    neighbors: (N, m), the point itself for none. The sign spreads over the spanning tree along which normals turn
+    least (Hoppe et al., "Surface Reconstruction from Unorganized Points", 1992, section 3.3). It starts, on each
+    connected piece, where the piece is farthest from its middle: there a closed object faces away from the middle.
+    """
+    count = len(points)
+    tree, piece = _least_turning_tree(normals, neighbors)
+    start = _outermost(points, piece)
+    # One more node, linked to the start of each piece, makes one tree of the forest.
+    root = csr_array((np.ones(len(start)), (np.full(len(start), count), start)), shape=(count + 1, count + 1))
+    tree.resize((count + 1, count + 1))
+    order, parent = breadth_first_order(tree + root, count, directed=False)
+    middle = _means(points, piece)
+    sign = np.ones(count + 1)
+    outwards = np.einsum("ij,ij->i", normals[start], points[start] - middle[piece[start]]) >= 0
+    sign[start] = np.where(outwards, 1.0, -1.0)
+    _spread_signs(normals, order, parent, sign)
+    return normals * sign[:count, None]
+
+
+def _least_turning_tree(normals: Float, neighbors: NDArray[np.int32]) -> tuple[csr_array, NDArray[np.int32]]:
+    """The spanning forest over the neighbors along which normals turn least, and the piece (N,) of each point."""
+    count, most = neighbors.shape
+    own = np.repeat(np.arange(count, dtype=np.int32), most)
+    other = neighbors.ravel()
+    linked = own != other
+    own, other = own[linked], other[linked]
+    turn = 1.0 - np.abs(np.einsum("ij,ij->i", normals[own], normals[other]))
+    # A weight of zero would mean no link.
+    graph = coo_array((turn + 1e-9, (np.minimum(own, other), np.maximum(own, other))), shape=(count, count))
+    graph.sum_duplicates()
+    tree = csr_array(minimum_spanning_tree(graph.tocsr()))
+    return tree, connected_components(tree, directed=False)[1]
+
+
+def _outermost(points: Float, piece: NDArray[np.int32]) -> NDArray[np.intp]:
+    """The point of each piece that is farthest from the mean of the piece."""
+    distance = np.linalg.norm(points - _means(points, piece)[piece], axis=1)
+    order = np.lexsort((-distance, piece))
+    return order[np.searchsorted(piece[order], np.arange(piece.max() + 1))]
+
+
+def _means(points: Float, piece: NDArray[np.int32]) -> Float:
+    total = np.stack([np.bincount(piece, column) for column in points.T], axis=1)
+    return total / np.bincount(piece)[:, None]
+
+
+@numba.njit(cache=True, nogil=True)
+def _spread_signs(normals, order, parent, sign):  # type: ignore[no-untyped-def]
+    root = order[0]
+    for i in order[1:]:
+        j = parent[i]
+        if j != root:
+            agreement = 0.0
+            for a in range(3):
+                agreement += normals[i, a] * normals[j, a]
+            sign[i] = sign[j] if agreement >= 0 else -sign[j]

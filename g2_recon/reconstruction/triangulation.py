@@ -6,16 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from g2_recon.geometry.cloud import Cloud
 
 Float = NDArray[np.float64]
-
-# Where a triangle is looked at for data: corners weigh most, as gaps open between neurons.
-_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [3, 3, 0], [3, 0, 3], [0, 3, 3]]) / np.array(
-    [[3], [6], [6], [6], [6], [6], [6]]
-)
 
 
 def split_cells(weights: Float, cells: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -25,16 +19,6 @@ def split_cells(weights: Float, cells: NDArray[np.int64]) -> NDArray[np.int64]:
     first = np.where(along_ac[:, None], np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
     second = np.where(along_ac[:, None], np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
     return np.stack([first, second], axis=1).reshape(-1, 3)
-
-
-def supported(weights: Float, faces: NDArray[np.int64], points: Float, *, distance: float) -> NDArray[np.bool_]:
-    """Mask (F,) of the faces with a point (N, 3) within `distance` metres of each of seven places on them.
-
-    It keeps doors and windows open: a map spans them, the data does not.
-    """
-    places = np.einsum("sc,fcx->fsx", _SAMPLES, weights[faces])
-    nearest, _ = cKDTree(points).query(places.reshape(-1, 3), distance_upper_bound=distance)
-    return np.isfinite(nearest).reshape(len(faces), len(_SAMPLES)).all(axis=1)
 
 
 def face_towards_sensor(

@@ -1,12 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
-import pytest
 
-from g2_recon.geometry.cloud import Cloud
 from g2_recon.reconstruction.clustering.connectivity import split_disconnected
 from g2_recon.reconstruction.clustering.k_means import centers, k_means
-from g2_recon.reconstruction.normals import estimate_normals
 
 
 def blobs(places, count=200, seed=0):
@@ -61,19 +58,3 @@ def test_a_few_stray_points_join_the_nearest_piece_whatever_its_cluster():
 def test_with_nothing_but_strays_nothing_is_lost():
     points = np.arange(12.0).reshape(4, 3)
     assert len(split_disconnected(points, np.zeros(4, np.int64), gap=0.1, min_points=10)) == 4
-
-
-def test_normals_of_a_noisy_plane_stand_on_it_and_look_at_the_sensor():
-    rng = np.random.default_rng(0)
-    points = np.column_stack([4 * rng.random((3000, 2)), 0.01 * rng.normal(size=3000)])
-    for height in (2.0, -2.0):
-        normals = estimate_normals(Cloud(points, np.tile([2.0, 2.0, height], (3000, 1))))
-        assert np.linalg.norm(normals, axis=1) == pytest.approx(1)
-        assert np.median(normals[:, 2] * np.sign(height)) > 0.99
-
-
-def test_normals_do_not_suffer_from_large_coordinates():
-    rng = np.random.default_rng(0)
-    points = np.column_stack([4 * rng.random((500, 2)), np.zeros(500)])
-    normals = estimate_normals(Cloud(points + (5e5, 5e6, 300)))
-    assert np.abs(normals[:, 2]) == pytest.approx(1, abs=1e-6)

@@ -6,7 +6,7 @@ import pytest
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import Mesh
 from g2_recon.reconstruction.lattice import rectangular
-from g2_recon.reconstruction.triangulation import face_towards_sensor, split_cells, supported
+from g2_recon.reconstruction.triangulation import face_towards_sensor, split_cells
 
 
 def flat(rows=4, columns=3):
@@ -26,18 +26,6 @@ def test_a_cell_is_cut_along_its_shorter_diagonal():
     weights = np.array([[0, 0, 0], [1, 0, 0], [3, 3, 0], [0, 1, 0.0]])
     faces = split_cells(weights, np.array([[0, 1, 2, 3]]))
     assert sorted(map(sorted, faces.tolist())) == [[0, 1, 3], [1, 2, 3]]
-
-
-def test_faces_over_a_hole_in_the_data_are_not_supported():
-    weights, lattice = flat(7, 7)
-    faces = split_cells(weights, lattice.cells)
-    x, y = np.meshgrid(np.arange(0, 6.01, 0.1), np.arange(0, 6.01, 0.1))
-    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    hole = (np.abs(points[:, :2] - 3) < 1).all(axis=1)
-    kept = supported(weights, faces, points[~hole], distance=0.2)
-    center = weights[faces].mean(axis=1)[:, :2]
-    in_hole = (np.abs(center - 3) < 1).all(axis=1)
-    assert kept.tolist() == (~in_hole).tolist()
 
 
 @pytest.mark.parametrize("height", [1.0, -1.0])

@@ -1,0 +1,451 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Phase 3 of mode `solid`: an advancing front from all submap borders at once, cheapest triangle first.
+
+Each open half-edge asks for a third vertex; what it can get goes on a heap by cost. A triangle taken from the heap is
+added where it is supported by data, agrees with the normals, and where the mesh stays manifold, consistently oriented
+and free of overlap. Half-edges that a new triangle opens ask again.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from g2_recon.errors import InputError
+from g2_recon.reconstruction.intersections import faces_cross
+from g2_recon.reconstruction.support import PointGrid, cell_of, point_grid, points_in_cell, triangle_supported
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+# A triangle may turn away from the normal at each of its vertices by acos(0.2) = 78 deg: it spans right angles between
+# walls, and keeps the two sides of a thin wall apart.
+_LEAST_AGREEMENT = 0.2
+# Two triangles at an edge may fold by a little over a right angle.
+_LEAST_FOLD = -0.1
+# Twice the area of a triangle over the square of its longest side; below it is a needle.
+_LEAST_SHAPE = 0.05
+# What a triangle costs that turns away from a normal, as a share of the spacing; a circumradius is about 0.6 of it.
+_TURN_COST = 0.3
+# Corners of faces around a vertex may overlap by rounding only, and a new one needs some width; both in rad.
+_ANGLE_ROUNDING = 1e-6
+_LEAST_ANGLE = 0.02
+
+_FULL_TURN = 2.0 * math.pi
+
+
+class _Surface(NamedTuple):
+    """The growing mesh. Corner 3 f + c is vertex c of face f.
+
+    axes: (V, 2, 3) of the tangent plane at each vertex. used: (1,) faces in use of faces (K, 3). first: (V,) a corner
+    at each vertex, or -1; following: (3 K,) the next corner at the same vertex, or -1. start, width: (3 K,) rad, the
+    sector of the tangent plane that a corner covers. open_edges: (V,) open half-edges that begin or end at a vertex.
+    searches: (1,) searches for crossings so far. looked_at: (K,) the last of them that came by a face.
+    """
+
+    vertices: Float
+    normals: Float
+    axes: Float
+    used: Int
+    faces: Int
+    first: Int
+    following: Int
+    start: Float
+    width: Float
+    open_edges: Int
+    searches: Int
+    looked_at: Int
+
+
+class _Heap(NamedTuple):
+    """Triangles by cost, then by vertex numbers, so that the order is the same each time. size: (1,) in use."""
+
+    size: Int
+    cost: Float
+    triangle: Int
+
+
+def join_submaps(
+    vertices: Float,
+    normals: Float,
+    faces: Int,
+    grid: PointGrid,
+    *,
+    reach: float,
+    spacing: float,
+    support_distance: float,
+) -> Int:
+    """The triangles (J, 3) between the borders of the submaps.
+
+    vertices: (V, 3) m; one without a face may be joined too. normals: (V, 3) unit normals of the surface there, towards
+    the free side. faces: (F, 3) of all submaps, counterclockwise seen from the free side, each edge in at most two of
+    them and then in opposite directions. grid: the data. reach: m, longest side of a triangle. spacing: m, usual
+    distance of neighbors. support_distance: m, data must lie this near to all of a triangle.
+
+    Together with the faces the result is again edge-manifold and consistently oriented, and no new face crosses another
+    one. Two fans of faces may still share a vertex (see mesh_repair.split_pinched).
+    Raises InputError where the faces given are not manifold or not consistently oriented.
+    """
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    faces = np.ascontiguousarray(faces, dtype=np.int64).reshape(-1, 3)
+    if not len(vertices):
+        return np.empty((0, 3), np.int64)
+    _check_half_edges(faces, len(vertices))
+    normals = np.ascontiguousarray(normals, dtype=np.float64)
+    surface = _surface(vertices, normals, _tangent_axes(normals), faces)
+    lookup = point_grid(vertices, cell=reach)
+    all_faces = _advance(surface, lookup, grid, float(reach), float(spacing), float(support_distance))
+    return np.asarray(all_faces[len(faces) :])
+
+
+def _check_half_edges(faces: Int, count: int) -> None:
+    begin, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    key = begin * count + end
+    if (begin == end).any() or len(np.unique(key)) < len(key):
+        raise InputError(
+            "an edge is used twice in one direction",
+            where="faces of the submaps",
+            advice="give manifold, consistently oriented faces",
+        )
+
+
+def _tangent_axes(normals: Float) -> Float:
+    """Two unit vectors (V, 2, 3) at right angles to each normal and each other, counterclockwise around it."""
+    aside = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(normals, aside)
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-300)
+    return np.ascontiguousarray(np.stack([first, np.cross(normals, first)], axis=1))
+
+
+@numba.njit(cache=True, nogil=True)
+def _surface(vertices, normals, axes, faces):  # type: ignore[no-untyped-def]
+    count = len(vertices)
+    room = len(faces) + count // 2 + 8
+    surface = _Surface(
+        vertices,
+        normals,
+        axes,
+        np.zeros(1, np.int64),
+        np.empty((room, 3), np.int64),
+        np.full(count, -1, np.int64),
+        np.empty(3 * room, np.int64),
+        np.empty(3 * room),
+        np.empty(3 * room),
+        np.zeros(count, np.int64),
+        np.zeros(1, np.int64),
+        np.full(room, -1, np.int64),
+    )
+    for face in faces:
+        _add_face(surface, face[0], face[1], face[2])
+    return surface
+
+
+@numba.njit(cache=True, nogil=True)
+def _with_room(surface):  # type: ignore[no-untyped-def]
+    """The surface, with arrays of twice the size if no further face has room."""
+    if surface.used[0] < len(surface.faces):
+        return surface
+    return _Surface(
+        surface.vertices,
+        surface.normals,
+        surface.axes,
+        surface.used,
+        np.concatenate((surface.faces, np.empty_like(surface.faces))),
+        surface.first,
+        np.concatenate((surface.following, np.empty_like(surface.following))),
+        np.concatenate((surface.start, np.empty_like(surface.start))),
+        np.concatenate((surface.width, np.empty_like(surface.width))),
+        surface.open_edges,
+        surface.searches,
+        np.concatenate((surface.looked_at, np.full_like(surface.looked_at, -1))),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_face(surface, a, b, c):  # type: ignore[no-untyped-def]
+    face = surface.used[0]
+    surface.used[0] += 1
+    surface.faces[face, 0], surface.faces[face, 1], surface.faces[face, 2] = a, b, c
+    for corner in range(3):
+        begin, end = surface.faces[face, corner], surface.faces[face, (corner + 1) % 3]
+        change = 1 if _face_at(surface, end, begin) < 0 else -1
+        surface.open_edges[begin] += change
+        surface.open_edges[end] += change
+    for corner in range(3):
+        vertex = surface.faces[face, corner]
+        after, before = surface.faces[face, (corner + 1) % 3], surface.faces[face, (corner + 2) % 3]
+        number = 3 * face + corner
+        surface.start[number], surface.width[number] = _sector(surface, vertex, after, before)
+        surface.following[number] = surface.first[vertex]
+        surface.first[vertex] = number
+
+
+@numba.njit(cache=True, nogil=True)
+def _face_at(surface, begin, end):  # type: ignore[no-untyped-def]
+    """The face with the half-edge from begin to end, or -1."""
+    corner = surface.first[begin]
+    while corner >= 0:
+        face = corner // 3
+        if surface.faces[face, (corner + 1) % 3] == end:
+            return face
+        corner = surface.following[corner]
+    return -1
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_border(surface, vertex):  # type: ignore[no-untyped-def]
+    return surface.first[vertex] < 0 or surface.open_edges[vertex] > 0
+
+
+@numba.njit(cache=True, nogil=True)
+def _sector(surface, vertex, after, before):  # type: ignore[no-untyped-def]
+    """Start and width, in rad counterclockwise in the tangent plane, of the corner between two neighbors."""
+    start = _direction(surface, vertex, after)
+    return start, (_direction(surface, vertex, before) - start) % _FULL_TURN
+
+
+@numba.njit(cache=True, nogil=True)
+def _direction(surface, vertex, neighbor):  # type: ignore[no-untyped-def]
+    x, y = 0.0, 0.0
+    for axis in range(3):
+        step = surface.vertices[neighbor, axis] - surface.vertices[vertex, axis]
+        x += step * surface.axes[vertex, 0, axis]
+        y += step * surface.axes[vertex, 1, axis]
+    return math.atan2(y, x)
+
+
+@numba.njit(cache=True, nogil=True)
+def _sector_is_free(surface, vertex, after, before):  # type: ignore[no-untyped-def]
+    """Whether a new corner at the vertex covers no part of the tangent plane that a face covers already."""
+    start, width = _sector(surface, vertex, after, before)
+    if width < _LEAST_ANGLE or width > math.pi:
+        return False
+    corner = surface.first[vertex]
+    while corner >= 0:
+        from_new = (surface.start[corner] - start) % _FULL_TURN
+        from_old = (start - surface.start[corner]) % _FULL_TURN
+        if from_new < width - _ANGLE_ROUNDING or from_old < surface.width[corner] - _ANGLE_ROUNDING:
+            return False
+        corner = surface.following[corner]
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _distance(vertices, one, other):  # type: ignore[no-untyped-def]
+    x = vertices[one, 0] - vertices[other, 0]
+    y = vertices[one, 1] - vertices[other, 1]
+    z = vertices[one, 2] - vertices[other, 2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@numba.njit(cache=True, nogil=True)
+def _area_vector(vertices, a, b, c):  # type: ignore[no-untyped-def]
+    """Normal of a triangle, as long as twice its area."""
+    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@numba.njit(cache=True, nogil=True)
+def _cost(surface, a, b, c, folded_to, reach, spacing):  # type: ignore[no-untyped-def]
+    """Circumradius plus a share of the spacing for turning away from the normals, in m; infinite where not allowed.
+
+    folded_to: unit normal of the face beyond the edge from a to b.
+    """
+    vertices, normals = surface.vertices, surface.normals
+    ab, bc, ca = _distance(vertices, a, b), _distance(vertices, b, c), _distance(vertices, c, a)
+    if bc > reach or ca > reach:
+        return np.inf
+    x, y, z = _area_vector(vertices, a, b, c)
+    double_area = math.sqrt(x * x + y * y + z * z)
+    longest = max(ab, bc, ca)
+    if double_area <= _LEAST_SHAPE * longest * longest:
+        return np.inf
+    x, y, z = x / double_area, y / double_area, z / double_area
+    if x * folded_to[0] + y * folded_to[1] + z * folded_to[2] < _LEAST_FOLD:
+        return np.inf
+    agreement = min(
+        x * normals[a, 0] + y * normals[a, 1] + z * normals[a, 2],
+        x * normals[b, 0] + y * normals[b, 1] + z * normals[b, 2],
+        x * normals[c, 0] + y * normals[c, 1] + z * normals[c, 2],
+    )
+    if agreement < _LEAST_AGREEMENT:
+        return np.inf
+    return ab * bc * ca / (2.0 * double_area) + _TURN_COST * spacing * (1.0 - agreement)
+
+
+@numba.njit(cache=True, nogil=True)
+def _fits(surface, a, b, c):  # type: ignore[no-untyped-def]
+    """Whether the face (a, b, c) has its three half-edges free and ends at a border."""
+    return (
+        _is_border(surface, c)
+        and _face_at(surface, a, b) < 0
+        and _face_at(surface, b, c) < 0
+        and _face_at(surface, c, a) < 0
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _ask(surface, heap, lookup, a, b, reach, spacing):  # type: ignore[no-untyped-def]
+    """Put on the heap what the free half-edge from a to b, opposite to a face, can get."""
+    face = surface.faces[_face_at(surface, b, a)]
+    x, y, z = _area_vector(surface.vertices, face[0], face[1], face[2])
+    length = max(math.sqrt(x * x + y * y + z * z), 1e-300)
+    folded_to = (x / length, y / length, z / length)
+    # A third vertex within reach of both ends lies within reach of their middle too.
+    x = 0.5 * (surface.vertices[a, 0] + surface.vertices[b, 0])
+    y = 0.5 * (surface.vertices[a, 1] + surface.vertices[b, 1])
+    z = 0.5 * (surface.vertices[a, 2] + surface.vertices[b, 2])
+    i, j, k = cell_of(lookup, x, y, z)
+    for di in range(-1, 2):
+        for dj in range(-1, 2):
+            for dk in range(-1, 2):
+                begin, end = points_in_cell(lookup, i + di, j + dj, k + dk)
+                for row in range(begin, end):
+                    c = lookup.order[row]
+                    if c in (a, b):
+                        continue
+                    cost = _cost(surface, a, b, c, folded_to, reach, spacing)
+                    if cost < np.inf and _fits(surface, a, b, c):
+                        heap = _push(heap, cost, a, b, c)
+    return heap
+
+
+@numba.njit(cache=True, nogil=True)
+def _crosses_surface(surface, lookup, a, b, c, longest):  # type: ignore[no-untyped-def]
+    """Whether the face (a, b, c) would cross one that is there; longest: m, side of any face."""
+    vertices = surface.vertices
+    new = (a, b, c)
+    surface.searches[0] += 1
+    # Any place on a face is within longest / sqrt(3) of one of its corners.
+    beyond = 0.57735 * longest
+    low = np.empty(3)
+    high = np.empty(3)
+    for axis in range(3):
+        low[axis] = min(vertices[a, axis], vertices[b, axis], vertices[c, axis]) - beyond
+        high[axis] = max(vertices[a, axis], vertices[b, axis], vertices[c, axis]) + beyond
+    first, last = cell_of(lookup, low[0], low[1], low[2]), cell_of(lookup, high[0], high[1], high[2])
+    for i in range(first[0], last[0] + 1):
+        for j in range(first[1], last[1] + 1):
+            for k in range(first[2], last[2] + 1):
+                begin, end = points_in_cell(lookup, i, j, k)
+                for row in range(begin, end):
+                    if not _in_box(lookup.points, row, low, high):
+                        continue
+                    corner = surface.first[lookup.order[row]]
+                    while corner >= 0:
+                        face = corner // 3
+                        if surface.looked_at[face] < surface.searches[0]:
+                            surface.looked_at[face] = surface.searches[0]
+                            if faces_cross(vertices, new, surface.faces[face]):
+                                return True
+                        corner = surface.following[corner]
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _in_box(points, row, low, high):  # type: ignore[no-untyped-def]
+    x, y, z = points[row, 0], points[row, 1], points[row, 2]
+    return low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]
+
+
+@numba.njit(cache=True, nogil=True)
+def _longest_side(surface):  # type: ignore[no-untyped-def]
+    longest = 0.0
+    for face in range(surface.used[0]):
+        for corner in range(3):
+            one, other = surface.faces[face, corner], surface.faces[face, (corner + 1) % 3]
+            longest = max(longest, _distance(surface.vertices, one, other))
+    return longest
+
+
+@numba.njit(cache=True, nogil=True)
+def _advance(surface, lookup, grid, reach, spacing, support_distance):  # type: ignore[no-untyped-def]
+    """All faces after the front has come to rest, the given ones first."""
+    longest = max(reach, _longest_side(surface))
+    heap = _Heap(np.zeros(1, np.int64), np.empty(1024), np.empty((1024, 3), np.int64))
+    for face in range(surface.used[0]):
+        for corner in range(3):
+            begin, end = surface.faces[face, corner], surface.faces[face, (corner + 1) % 3]
+            if _face_at(surface, end, begin) < 0:
+                heap = _ask(surface, heap, lookup, end, begin, reach, spacing)
+    while heap.size[0] > 0:
+        a, b, c = _pop(heap)
+        if not _fits(surface, a, b, c):
+            continue
+        if not (_sector_is_free(surface, a, b, c) and _sector_is_free(surface, b, c, a)):
+            continue
+        if not _sector_is_free(surface, c, a, b):
+            continue
+        if not triangle_supported(surface.vertices, a, b, c, grid, support_distance):
+            continue
+        if _crosses_surface(surface, lookup, a, b, c, longest):
+            continue
+        surface = _with_room(surface)
+        _add_face(surface, a, b, c)
+        if _face_at(surface, c, b) < 0:
+            heap = _ask(surface, heap, lookup, c, b, reach, spacing)
+        if _face_at(surface, a, c) < 0:
+            heap = _ask(surface, heap, lookup, a, c, reach, spacing)
+    return surface.faces[: surface.used[0]].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _before(heap, one, other):  # type: ignore[no-untyped-def]
+    if heap.cost[one] != heap.cost[other]:
+        return heap.cost[one] < heap.cost[other]
+    for corner in range(3):
+        if heap.triangle[one, corner] != heap.triangle[other, corner]:
+            return heap.triangle[one, corner] < heap.triangle[other, corner]
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _swap(heap, one, other):  # type: ignore[no-untyped-def]
+    heap.cost[one], heap.cost[other] = heap.cost[other], heap.cost[one]
+    for corner in range(3):
+        kept = heap.triangle[one, corner]
+        heap.triangle[one, corner] = heap.triangle[other, corner]
+        heap.triangle[other, corner] = kept
+
+
+@numba.njit(cache=True, nogil=True)
+def _push(heap, cost, a, b, c):  # type: ignore[no-untyped-def]
+    if heap.size[0] == len(heap.cost):
+        heap = _Heap(
+            heap.size,
+            np.concatenate((heap.cost, np.empty_like(heap.cost))),
+            np.concatenate((heap.triangle, np.empty_like(heap.triangle))),
+        )
+    place = heap.size[0]
+    heap.size[0] += 1
+    heap.cost[place] = cost
+    heap.triangle[place, 0], heap.triangle[place, 1], heap.triangle[place, 2] = a, b, c
+    while place > 0 and _before(heap, place, (place - 1) // 2):
+        _swap(heap, place, (place - 1) // 2)
+        place = (place - 1) // 2
+    return heap
+
+
+@numba.njit(cache=True, nogil=True)
+def _pop(heap):  # type: ignore[no-untyped-def]
+    """Remove the cheapest triangle."""
+    a, b, c = heap.triangle[0, 0], heap.triangle[0, 1], heap.triangle[0, 2]
+    heap.size[0] -= 1
+    size = heap.size[0]
+    _swap(heap, 0, size)
+    place = 0
+    while 2 * place + 1 < size:
+        child = 2 * place + 1
+        if child + 1 < size and _before(heap, child + 1, child):
+            child += 1
+        if not _before(heap, child, place):
+            break
+        _swap(heap, child, place)
+        place = child
+    return a, b, c

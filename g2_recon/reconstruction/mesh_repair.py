@@ -1,0 +1,394 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""The last steps of mode `solid`: borders out to their data, small loops closed, no crossings, no pinches."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from g2_recon.reconstruction.intersections import crossing_pairs
+from g2_recon.reconstruction.support import PointGrid, supported
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# How far the copies of a pinched vertex move into their own fans, as a share of their way to the middle of the fan:
+# apart enough that no reader of the mesh merges them again, near enough that nobody sees it.
+_PART = 0.005
+
+# How much of its way from home a vertex keeps, round by round, while one of its faces crosses another one.
+_KEPT_OF_WAY = (0.5, 0.5, 0.5, 0.0, 0.0)
+
+
+def split_pinched(vertices: Float, faces: Int) -> tuple[Float, Int, Int]:
+    """A vertex for each fan of faces: vertices (V', 3) m, faces (F, 3), and the vertex (V',) that each was made from.
+
+    At a pinched vertex two or more fans meet in a point, which half-edge structures cannot hold. The given vertices
+    come first; the first fan keeps the vertex. The vertices of a pinch are moved apart by a two-hundredth of the way to
+    the middle of their fan.
+    """
+    fan, origin = _fans(faces, len(vertices))
+    pinched = np.bincount(origin, minlength=len(vertices)) > 1
+    first = np.full(len(vertices), -1)
+    first[origin[::-1]] = np.arange(len(origin))[::-1]
+    is_first = first[origin] == np.arange(len(origin))
+    number = np.where(is_first, origin, len(vertices) + np.cumsum(~is_first) - 1)
+    split = number[fan].reshape(-1, 3)
+    source = np.concatenate([np.arange(len(vertices)), origin[~is_first]])
+    placed = vertices[source]
+    moved = np.flatnonzero(pinched[source])
+    middle = _fan_middles(placed, split)[moved]
+    placed[moved] += _PART * (middle - placed[moved])
+    return placed, split, source
+
+
+def _fans(faces: Int, count: int) -> tuple[Int, Int]:
+    """The fan (3 F,) of each corner of the faces, and the vertex (fans,) that each fan is around.
+
+    Corners at one vertex belong to one fan where their faces share an edge at that vertex.
+    """
+    corner = np.arange(faces.size).reshape(-1, 3)
+    begin, end = faces, np.roll(faces, -1, axis=1)
+    low, high = np.minimum(begin, end), np.maximum(begin, end)
+    key = (low * count + high).ravel()
+    order = np.argsort(key, kind="stable")
+    same = np.flatnonzero(key[order][1:] == key[order][:-1])
+    one, other = order[same], order[same + 1]
+    after = np.roll(corner, -1, axis=1).ravel()
+    # Half-edge h runs from corner h to after[h]; of two faces at an edge, the corners at the same vertex are linked.
+    same_way = faces.ravel()[one] == faces.ravel()[other]
+    links = np.concatenate(
+        [
+            np.stack([one, np.where(same_way, other, after[other])], axis=1),
+            np.stack([after[one], np.where(same_way, after[other], other)], axis=1),
+        ]
+    )
+    graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(faces.size, faces.size))
+    _, fan = connected_components(graph, directed=False)
+    _, first_corner, fan = np.unique(fan, return_index=True, return_inverse=True)
+    return fan.astype(np.int64), faces.ravel()[first_corner].astype(np.int64)
+
+
+def _fan_middles(vertices: Float, faces: Int) -> Float:
+    """For each vertex (V, 3) the mean of the middles of its faces; itself where it has none."""
+    middle = np.repeat(vertices[faces].mean(axis=1), 3, axis=0)
+    count = np.bincount(faces.ravel(), minlength=len(vertices))
+    total = _sums(faces.ravel(), middle, len(vertices))
+    return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], vertices)
+
+
+def border_half_edges(faces: Int, count: int) -> Int:
+    """The half-edges (B, 2) of faces (F, 3) over `count` vertices that no face has in the other direction."""
+    begin: Int = faces.reshape(-1)
+    end: Int = np.roll(faces, -1, axis=1).reshape(-1)
+    is_open = ~np.isin(begin * count + end, end * count + begin)
+    return np.stack([begin[is_open], end[is_open]], axis=1)
+
+
+def extend_borders(
+    vertices: Float,
+    faces: Int,
+    normals: Float,
+    points: Float,
+    owner: Int,
+    *,
+    limit: float,
+    quantile: float = 0.98,
+    margin: float = 0.03,
+) -> Float:
+    """The vertices (V, 3) with those on open borders moved outwards in their tangent plane, to where their data ends.
+
+    Neurons stand amid their data, so the mesh would end half a cell too early. normals: (V, 3), zero at a crease
+    vertex. points: (N, 3) m. owner: (N,) the vertex that each point belongs to, or -1. A vertex moves by the quantile
+    of its points' offsets in the outward direction plus `margin` (m, the part of the surface beyond the last scan), at
+    most by `limit` (m); with fewer than three points it stays. A crease vertex goes along its crease as far as its
+    neighbors on the border go.
+    """
+    border = border_half_edges(faces, len(vertices))
+    outward = _outward_directions(vertices, faces, normals)
+    mine = owner >= 0
+    mine[mine] = (outward[owner[mine]] != 0).any(axis=1)
+    offset = np.einsum("ni,ni->n", points[mine] - vertices[owner[mine]], outward[owner[mine]])
+    end, count = _quantiles(offset, owner[mine], quantile, len(vertices))
+    length = np.where(count >= 3, np.clip(np.maximum(end, 0) + margin, 0, limit), 0)
+    step = length[:, None] * outward
+    crease = (normals == 0).all(axis=1)
+    step[crease] = _steps_along_creases(border, normals, step)[crease]
+    return np.asarray(vertices + step)
+
+
+# Neighbors whose normals spread less than this, as an eigenvalue of the mean of n n^T, share one plane: about 25 deg.
+_ONE_PLANE = 0.05
+
+
+def _steps_along_creases(border: Int, normals: Float, step: Float) -> Float:
+    """For each vertex (V, 3) the mean step of its neighbors on the border, as far as it keeps to all their planes."""
+    begin, end = np.concatenate([border, border[:, ::-1]]).T
+    count = len(normals)
+    neighbors = np.maximum(np.bincount(begin, minlength=count), 1)[:, None]
+    mean = _sums(begin, step[end], count) / neighbors
+    products = np.einsum("ni,nj->nij", normals[end], normals[end]).reshape(-1, 9)
+    planes = (_sums(begin, products, count) / neighbors).reshape(-1, 3, 3)
+    value, vector = np.linalg.eigh(planes)
+    along = np.einsum("vij,vi->vj", vector, mean) * (value < _ONE_PLANE)
+    return np.asarray(np.einsum("vij,vj->vi", vector, along))
+
+
+def _outward_directions(vertices: Float, faces: Int, normals: Float) -> Float:
+    """Unit vectors (V, 3) off the surface in the tangent plane of each border vertex; zero for others."""
+    area = _area_vectors(vertices, faces)
+    area /= np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-12)
+    begin, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    is_open = ~np.isin(begin * len(vertices) + end, end * len(vertices) + begin)
+    begin, end = begin[is_open], end[is_open]
+    # As long as the edge, so that a long side counts for more.
+    away = np.cross(vertices[end] - vertices[begin], np.repeat(area, 3, axis=0)[is_open])
+    both = np.concatenate([begin, end])
+    total = _sums(both, np.tile(away, (2, 1)), len(vertices))
+    total -= np.einsum("vi,vi->v", total, normals)[:, None] * normals
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.asarray(np.where(length > 1e-9, total / np.maximum(length, 1e-9), 0.0))
+
+
+def _quantiles(value: Float, group: Int, quantile: float, count: int) -> tuple[Float, Int]:
+    """The linear quantile (count,) of the values (N,) of each group, 0 for an empty one, and the sizes (count,)."""
+    order = np.lexsort((value, group))
+    ordered = np.append(value[order], 0.0)
+    size = np.bincount(group, minlength=count)
+    place = np.cumsum(size) - size + quantile * np.maximum(size - 1, 0)
+    low = np.minimum(np.floor(place).astype(np.int64), len(value))
+    high = np.minimum(np.ceil(place).astype(np.int64), len(value))
+    result = ordered[low] + (place - low) * (ordered[high] - ordered[low])
+    return np.where(size > 0, result, 0.0), size
+
+
+def large_pieces(vertices: Float, faces: Int, *, least_area: float) -> Mask:
+    """Mask (F,) of the faces in pieces of at least `least_area` (m^2); a piece is what hangs together by edges."""
+    fan, _ = _fans(faces, len(vertices))
+    corners = fan.reshape(-1, 3)
+    links = np.concatenate([corners[:, :2], corners[:, 1:]])
+    graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(faces.size, faces.size))
+    piece = connected_components(graph, directed=False)[1][corners[:, 0]]
+    area = 0.5 * np.linalg.norm(_area_vectors(vertices, faces), axis=1)
+    return np.asarray(np.bincount(piece, area)[piece] >= least_area) if len(faces) else np.zeros(0, bool)
+
+
+def remove_crossings(vertices: Float, faces: Int, home: Float) -> tuple[Float, Mask]:
+    """Vertices (V, 3) and a mask (F,) of the faces to keep, such that no face crosses another one.
+
+    Vertices that were moved for looks go back towards `home` (V, 3), where they came from, as far as it takes; of faces
+    that cross even so, as few as possible are dropped, later ones first.
+    """
+    vertices = vertices.copy()
+    pairs = crossing_pairs(vertices, faces)
+    for share in _KEPT_OF_WAY:
+        moved = np.zeros(len(vertices), bool)
+        moved[faces[pairs].ravel()] = True
+        moved &= (vertices != home).any(axis=1)
+        if not moved.any():
+            break
+        vertices[moved] = home[moved] + share * (vertices[moved] - home[moved])
+        touched: Mask = np.asarray(moved[faces].any(axis=1))
+        settled = pairs[~touched[pairs].any(axis=1)]
+        pairs = np.concatenate([settled, crossing_pairs(vertices, faces, among=touched)])
+    keep = np.ones(len(faces), bool)
+    keep[_cover(pairs)] = False
+    return vertices, keep
+
+
+def _cover(pairs: Int) -> list[int]:
+    """Members that together are in every pair, each time the one in the most pairs, of equals the largest."""
+    covering = []
+    while len(pairs):
+        member, count = np.unique(pairs, return_counts=True)
+        chosen = int(member[count == count.max()].max())
+        covering.append(chosen)
+        pairs = pairs[(pairs != chosen).all(axis=1)]
+    return covering
+
+
+def fill_small_loops(
+    vertices: Float,
+    faces: Int,
+    grid: PointGrid,
+    *,
+    support_distance: float,
+    max_edges: int = 8,
+    support_share: float = 0.6,
+) -> Int:
+    """Triangles (T, 3) that close the holes with at most `max_edges` edges, where data supports most of them.
+
+    Each hole gets the triangulation of least area (Barequet and Sharir, "Filling gaps in the boundary of a polyhedron",
+    1995, section 3.2). A hole stays open where data lies within `support_distance` (m) of fewer than `support_share` of
+    its triangles, where the mesh would not stay manifold and oriented, or where a new face would cross another one.
+    """
+    loops, size = _small_loops(vertices, faces, max_edges)
+    triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size)
+    support = np.bincount(loop, supported(vertices, triangles, grid, support_distance), len(loops))
+    accepted = support > support_share * np.maximum(size - 2, 1)
+    accepted &= _keeps_manifold(faces, triangles, loop, size, accepted, len(vertices))
+    while True:
+        chosen = accepted[loop]
+        mesh = np.concatenate([faces, triangles[chosen]])
+        crossing = crossing_pairs(vertices, mesh, among=np.arange(len(mesh)) >= len(faces))
+        crossing = crossing[crossing >= len(faces)] - len(faces)
+        if not len(crossing):
+            return np.asarray(triangles[chosen])
+        accepted[loop[chosen][crossing]] = False
+
+
+def _small_loops(vertices: Float, faces: Int, max_edges: int) -> tuple[Int, Int]:
+    """Holes of at most `max_edges` edges: vertices (L, max_edges) in the order of new faces, and how many (L,)."""
+    half_edges = border_half_edges(faces, len(vertices))[:, ::-1]
+    half_edges = np.ascontiguousarray(half_edges[np.lexsort((half_edges[:, 1], half_edges[:, 0]))])
+    begin = np.searchsorted(half_edges[:, 0], np.arange(len(vertices) + 1))
+    return tuple(
+        _walk_loops(np.ascontiguousarray(vertices), _vertex_normals(vertices, faces), half_edges, begin, max_edges)
+    )
+
+
+def _vertex_normals(vertices: Float, faces: Int) -> Float:
+    return _sums(faces.ravel(), np.repeat(_area_vectors(vertices, faces), 3, axis=0), len(vertices))
+
+
+def _area_vectors(vertices: Float, faces: Int) -> Float:
+    """Normals (F, 3) of the faces, as long as twice their area."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    return np.asarray(np.cross(b - a, c - a))
+
+
+def _sums(group: Int, vectors: Float, count: int) -> Float:
+    """The sum (count, D) of the vectors (N, D) of each group (N,)."""
+    total = np.zeros((count, vectors.shape[1]))
+    for axis in range(vectors.shape[1]):
+        total[:, axis] = np.bincount(group, vectors[:, axis], count)
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _walk_loops(vertices, normals, half_edges, begin, max_edges):  # type: ignore[no-untyped-def]
+    loops = np.full((len(half_edges) // 3 + 1, max_edges), -1, np.int64)
+    sizes = np.zeros(len(loops), np.int64)
+    found = 0
+    walked = np.zeros(len(half_edges), np.bool_)
+    for start in range(len(half_edges)):
+        if walked[start]:
+            continue
+        size, edge = 0, start
+        while size < max_edges:
+            loops[found, size] = half_edges[edge, 0]
+            size += 1
+            edge = _next_half_edge(vertices, normals, half_edges, begin, edge)
+            if edge == start:
+                break
+        if edge != start or size < 3 or _repeats(loops[found, :size]):
+            continue
+        sizes[found] = size
+        found += 1
+        for _ in range(size):
+            walked[edge] = True
+            edge = _next_half_edge(vertices, normals, half_edges, begin, edge)
+    return loops[:found], sizes[:found]
+
+
+@numba.njit(cache=True, nogil=True)
+def _repeats(values):  # type: ignore[no-untyped-def]
+    for i in range(len(values)):
+        for j in range(i):
+            if values[i] == values[j]:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _next_half_edge(vertices, normals, half_edges, begin, edge):  # type: ignore[no-untyped-def]
+    """The half-edge that bounds the same gap: at a pinched vertex, the next one clockwise from the one arrived by."""
+    came_from, vertex = half_edges[edge, 0], half_edges[edge, 1]
+    first, last = begin[vertex], begin[vertex + 1]
+    if last - first == 1:
+        return first
+    best, least = first, np.inf
+    for candidate in range(first, last):
+        angle = _turn(vertices, normals[vertex], vertex, half_edges[candidate, 1], came_from)
+        if angle < least:
+            best, least = candidate, angle
+    return best
+
+
+@numba.njit(cache=True, nogil=True)
+def _turn(vertices, normal, vertex, one, other):  # type: ignore[no-untyped-def]
+    """Angle counterclockwise around the normal from one neighbor of a vertex to another one, in (0, 2 pi]."""
+    u = vertices[one] - vertices[vertex]
+    v = vertices[other] - vertices[vertex]
+    length = max(math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-300)
+    n = normal / length
+    un = u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
+    vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
+    cosine = u[0] * v[0] + u[1] * v[1] + u[2] * v[2] - un * vn
+    sine = n[0] * (u[1] * v[2] - u[2] * v[1]) + n[1] * (u[2] * v[0] - u[0] * v[2]) + n[2] * (u[0] * v[1] - u[1] * v[0])
+    angle = math.atan2(sine, cosine) % (2.0 * math.pi)
+    return angle if angle > 0 else 2.0 * math.pi
+
+
+@numba.njit(cache=True, nogil=True)
+def _least_area(vertices, loops, sizes):  # type: ignore[no-untyped-def]
+    """Triangles (T, 3) of all loops, triangulated with the least area, and the loop (T,) of each."""
+    total = 0
+    for size in sizes:
+        total += size - 2
+    triangles, loop_of = np.empty((total, 3), np.int64), np.empty(total, np.int64)
+    count = 0
+    for loop in range(len(loops)):
+        size, corners = sizes[loop], loops[loop]
+        area, cut = np.zeros((size, size)), np.zeros((size, size), np.int64)
+        for gap in range(2, size):
+            for i in range(size - gap):
+                j = i + gap
+                area[i, j] = np.inf
+                for k in range(i + 1, j):
+                    value = area[i, k] + area[k, j] + _area(vertices, corners[i], corners[k], corners[j])
+                    if value < area[i, j]:
+                        area[i, j], cut[i, j] = value, k
+        waiting = [(0, size - 1)]
+        while len(waiting) > 0:
+            i, j = waiting.pop()
+            if j - i < 2:
+                continue
+            k = cut[i, j]
+            triangles[count, 0], triangles[count, 1], triangles[count, 2] = corners[i], corners[k], corners[j]
+            loop_of[count] = loop
+            count += 1
+            waiting.append((i, k))
+            waiting.append((k, j))
+    return triangles, loop_of
+
+
+@numba.njit(cache=True, nogil=True)
+def _area(vertices, a, b, c):  # type: ignore[no-untyped-def]
+    u = vertices[b] - vertices[a]
+    v = vertices[c] - vertices[a]
+    x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+    return 0.5 * math.sqrt(x * x + y * y + z * z)
+
+
+def _keeps_manifold(faces: Int, triangles: Int, loop: Int, size: Int, accepted: Mask, count: int) -> Mask:
+    """Mask (L,) of the accepted loops whose triangles use no half-edge that a face or an earlier loop uses."""
+    half_edges = triangles * count + np.roll(triangles, -1, axis=1)
+    used = np.isin(half_edges, faces * count + np.roll(faces, -1, axis=1)).any(axis=1)
+    accepted = accepted & (np.bincount(loop, used, len(size)) == 0)
+    begin = np.concatenate([[0], np.cumsum(size - 2)])
+    taken: set[int] = set()
+    good = np.zeros(len(size), bool)
+    for number in np.flatnonzero(accepted):
+        mine = half_edges[begin[number] : begin[number + 1]].ravel().tolist()
+        good[number] = taken.isdisjoint(mine) and len(set(mine)) == len(mine)
+        if good[number]:
+            taken.update(mine)
+    return good

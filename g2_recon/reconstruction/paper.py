@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Mode paper: reconstruction as it was published, in its four phases (section 3)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g2_recon.config import ReconstructionConfig
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.progress import Progress, silent
+from g2_recon.reconstruction.clustering.connectivity import split_disconnected
+from g2_recon.reconstruction.clustering.k_means import centers, k_means
+from g2_recon.reconstruction.joining import join_borders
+from g2_recon.reconstruction.lattice import Lattice, rectangular
+from g2_recon.reconstruction.reoptimization import border_region, reoptimize_batch, reoptimize_online
+from g2_recon.reconstruction.result import Reconstruction
+from g2_recon.reconstruction.som import best_matching_units, spread_over, train_batch, train_online
+from g2_recon.reconstruction.triangulation import face_towards_sensor, split_cells
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+# A cluster that spans free space is divided and the centers are improved again, so that the number of clusters stays
+# as asked; what still falls into pieces after so many rounds is divided for good.
+_CLUSTERING_ROUNDS = 4
+# The batch rule would shrink each map by about a cell if it ended with the neighborhood of 1 of the iterative rule.
+_BATCH_WIDTH_END = 0.35
+
+
+@dataclass(frozen=True, slots=True)
+class Submaps:
+    """The trained maps of all clusters as one graph; map k holds the neurons k * n to (k + 1) * n - 1.
+
+    weights: (V, 3) m. submap: (V,). edges: (E, 2). cells: (C, 4). border: (V,) mask. bmu: (N,) neuron of each point.
+    """
+
+    weights: Float
+    submap: Int
+    edges: Int
+    cells: Int
+    border: NDArray[np.bool_]
+    bmu: Int
+
+
+def reconstruct_as_published(
+    cloud: Cloud, config: ReconstructionConfig, *, progress: Progress = silent
+) -> Reconstruction:
+    """Cluster the cloud, build a submap a cluster, join the submaps, re-optimize their borders.
+
+    All points must be finite. The strips between submaps stay open: "currently, the joins are exploited as a logical
+    connections" (section 5).
+    """
+    label = initial_clustering(cloud.points, config, progress)
+    submaps = build_submaps(cloud.points, label, config, progress)
+    joins = join_borders(submaps.weights, submaps.submap, submaps.edges, submaps.border, theta=config.theta)
+    progress("joining", 1, 1)
+    weights = reoptimize_borders(cloud.points, submaps, joins, config, progress)
+    mesh = triangulate(cloud, weights, submaps)
+    progress("triangulation", 1, 1)
+    return Reconstruction(
+        wire_mesh=WireMesh(
+            weights,
+            np.concatenate([submaps.edges, joins]),
+            submaps.submap,
+            np.arange(len(submaps.edges) + len(joins)) >= len(submaps.edges),
+        ),
+        mesh=mesh,
+        points=len(cloud),
+        left_out={},
+        clusters=int(label.max()) + 1,
+        quantization_error=float(np.linalg.norm(cloud.points - weights[submaps.bmu], axis=1).mean()),
+    )
+
+
+def initial_clustering(points: Float, config: ReconstructionConfig, progress: Progress = silent) -> Int:
+    """Phase 1: the cluster (N,) of each point (N, 3); clusters hang together.
+
+    There are as many as asked, but no more than leave one point a neuron; a few more where free space divides them.
+    """
+    neurons = config.rows * config.columns
+    clusters = int(np.clip(len(points) // neurons, 1, config.clusters))
+    label = k_means(points, clusters, seed=config.seed)
+    for done in range(_CLUSTERING_ROUNDS):
+        pieces = split_disconnected(points, label, gap=config.cluster_gap, min_points=max(neurons // 4, 4))
+        progress("clustering", done + 1, _CLUSTERING_ROUNDS)
+        if pieces.max() == label.max():
+            break
+        largest = np.argsort(np.bincount(pieces), kind="stable")[::-1][:clusters]
+        label = k_means(points, clusters, seed=config.seed, start=centers(points, pieces)[largest])
+    progress("clustering", _CLUSTERING_ROUNDS, _CLUSTERING_ROUNDS)
+    return pieces
+
+
+def build_submaps(points: Float, label: Int, config: ReconstructionConfig, progress: Progress = silent) -> Submaps:
+    """Phase 2: one self-organizing map a cluster, trained in parallel.
+
+    Each map has its own seed, so the result does not depend on the number of workers.
+    """
+    lattice = rectangular(config.rows, config.columns)
+    members = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
+    weights = np.empty((len(members), len(lattice), 3))
+    bmu = np.empty(len(points), np.int64)
+
+    def train(number: int) -> None:
+        own = points[members[number]]
+        weights[number] = _trained(own, lattice, config, seed=config.seed + number)
+        bmu[members[number]] = best_matching_units(own, weights[number]) + number * len(lattice)
+
+    _in_parallel(train, [len(member) for member in members], config.workers, progress)
+    offsets = (len(lattice) * np.arange(len(members)))[:, None, None]
+    return Submaps(
+        weights=weights.reshape(-1, 3),
+        submap=np.repeat(np.arange(len(members)), len(lattice)),
+        edges=(lattice.edges + offsets).reshape(-1, 2),
+        cells=(lattice.cells + offsets).reshape(-1, 4),
+        border=np.tile(lattice.border, len(members)),
+        bmu=bmu,
+    )
+
+
+def _trained(points: Float, lattice: Lattice, config: ReconstructionConfig, *, seed: int) -> Float:
+    start = spread_over(points, lattice)
+    if config.training == "batch":
+        return train_batch(points, start, lattice, epochs=config.epochs, width_end=_BATCH_WIDTH_END)
+    return train_online(
+        points,
+        start,
+        lattice,
+        passes=config.passes,
+        learning_rate_start=config.learning_rate_start,
+        learning_rate_end=config.learning_rate_end,
+        seed=seed,
+    )
+
+
+def _in_parallel(work: Callable[[int], None], sizes: list[int], workers: int, progress: Progress) -> None:
+    """Do `work(i)` for each i, the largest first so that no worker is left alone with it at the end."""
+    largest_first = np.argsort(sizes)[::-1]
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        for done, _ in enumerate(pool.map(work, largest_first.tolist()), start=1):
+            progress("training", done, len(sizes))
+
+
+def reoptimize_borders(
+    points: Float, submaps: Submaps, joins: Int, config: ReconstructionConfig, progress: Progress = silent
+) -> Float:
+    """Phase 4: neurons (V, 3) after those near joined borders were trained again on the joined graph."""
+    if not len(joins) or config.border_width == 0:
+        return submaps.weights
+    region = border_region(
+        points, submaps.bmu, len(submaps.weights), submaps.edges, joins, width=config.border_width - 1
+    )
+    if config.training == "batch":
+        return reoptimize_batch(submaps.weights, region, passes=config.border_passes, progress=progress)
+    return reoptimize_online(
+        submaps.weights,
+        region,
+        passes=config.border_passes,
+        learning_rate_start=config.learning_rate_start,
+        learning_rate_end=config.learning_rate_end,
+        seed=config.seed,
+        progress=progress,
+    )
+
+
+def triangulate(cloud: Cloud, weights: Float, submaps: Submaps) -> Mesh:
+    """The lattice cells as triangles: "each rectangle is split into two triangles" (section 5)."""
+    faces = split_cells(weights, submaps.cells)
+    submap = submaps.submap[faces[:, 0]]
+    return Mesh(weights, face_towards_sensor(weights, faces, submap, cloud, submaps.bmu), submap)

@@ -1,0 +1,326 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Step 0 of mode solid: what a cloud tells about the surface at each of its points."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from g2_recon.errors import InputError
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.reconstruction.normals import (
+    SECTORS,
+    fit_local_planes,
+    orient_consistently,
+    orient_to_sensor,
+    sharper_planes,
+)
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Codes = NDArray[np.uint64]
+
+FEWEST_POINTS = 10
+
+# A return with fewer others around it has no surface to lie on.
+_FEWEST_NEIGHBORS = 4
+
+# A point this many times the noise off the planes of its neighbors is not on their surface.
+_OFF_PLANE_NOISE = 4.0
+
+# Weights are per voxel of this part of the spacing of the neurons.
+_VOXELS_PER_SPACING = 3
+
+# Morton codes hold 21 bits an axis.
+_MOST_VOXELS = 1 << 21
+
+# How often a search that found no plane is repeated over twice the distance.
+_WIDENINGS = 2
+
+# Neighbors this many times longer than wide are a line. So is what lies in one plane with the sensor: that is the scan.
+_LINE = 8.0
+_EDGE_ON = np.cos(np.deg2rad(87.0))
+
+# Points a task: many tasks a worker, each large enough that its start costs nothing. Results do not depend on it.
+_CHUNK = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class SurfacePoints:
+    """The points of a cloud that lie on a surface, ordered so that what is near in space is near in the arrays.
+
+    points: (N, 3) m. normals: (N, 3) unit, towards where the point was seen from. weights: (N,) one by the number of
+    points in the voxel, so that sums go with area and not with density. noise: m, standard deviation of the points
+    across their surface. neighbors: (N, 8) the nearest point in each eighth of the directions along the surface, the
+    point itself where there is none; so points hang together across the gaps between scan lines. cells: (N,) Morton
+    code of the voxel of each point, ascending; `cells >> 3 * n` are the voxels 2**n times as large. voxel: m, edge
+    length of a voxel. kept: (N,) index of each point in the cloud. rejected: how many points of the cloud were not
+    kept, by reason.
+    """
+
+    points: Float
+    normals: Float
+    weights: Float
+    noise: float
+    neighbors: NDArray[np.int32]
+    cells: Codes
+    voxel: float
+    kept: Int
+    rejected: dict[str, int]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def prepare(
+    cloud: Cloud,
+    *,
+    spacing: float = 0.2,
+    radius: float = 0.25,
+    neighbors: int = 24,
+    off_plane: float = 0.15,
+    workers: int = 1,
+) -> SurfacePoints:
+    """Estimate normals, noise and area weights of a cloud, and leave out what is on no surface.
+
+    spacing: m, of the neurons to come. A normal is that of the `neighbors` nearest points within `radius` (m); where
+    these lie on a line, as those of one scan do, farther ones are taken, up to four times the radius. Points with
+    fewer than four neighbors within the radius are left out, and so are points off the planes of their neighbors by
+    more than `off_plane` (m) and four times the noise. The result does not depend on `workers`.
+
+    Raises InputError where fewer than ten distinct points remain, where all lie on one line, or where they spread over
+    more than 2**21 voxels of a third of the spacing.
+    """
+    index = np.flatnonzero(np.isfinite(cloud.points).all(axis=1))
+    if cloud.sensor is not None:
+        index = index[np.isfinite(cloud.sensor[index]).all(axis=1)]
+    _check_extent(cloud.points[index], len(cloud))
+    voxel = spacing / _VOXELS_PER_SPACING
+    origin = cloud.points[index].min(axis=0)
+    cells, order = _spatial_order(cloud.points[index] - origin, voxel)
+    kept = index[order]
+    points = cloud.points[kept] - origin
+    sensor = None if cloud.sensor is None else cloud.sensor[kept] - origin
+
+    local = _local_planes(points, sensor, cells, radius, neighbors, workers)
+    noise = float(np.median(local.deviation[local.spans])) if local.spans.any() else 0.0
+    isolated = local.count - 1 < _FEWEST_NEIGHBORS
+    off = ~isolated & (
+        _median_distances(points, local.normals, local.around) > max(_OFF_PLANE_NOISE * noise, off_plane)
+    )
+    good = ~isolated & ~off
+    if _distinct(points[good]) < FEWEST_POINTS:
+        raise InputError(
+            f"only {np.count_nonzero(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
+            advice="choose a larger spacing",
+        )
+    links = _links_among(local.around, good)
+    points, cells, kept, local = points[good], cells[good], kept[good], local.select(good)
+    normals = local.normals if sensor is not None else orient_consistently(points, local.normals, links)
+    plane = sharper_planes(points, local.middles, normals, local.deviation, links)
+    normals = normals[plane] if sensor is None else orient_to_sensor(points, normals[plane], sensor[good])
+    deviation = local.deviation[plane][local.spans[plane]]
+    rejected = {
+        "not finite": len(cloud) - len(index),
+        "isolated": int(np.count_nonzero(isolated)),
+        "off the surface of their neighbors": int(np.count_nonzero(off)),
+    }
+    return SurfacePoints(
+        points=points + origin,
+        normals=normals,
+        weights=_one_by_count(cells),
+        noise=float(np.median(deviation)) if len(deviation) else noise,
+        neighbors=links,
+        cells=cells,
+        voxel=voxel,
+        kept=kept,
+        rejected={reason: number for reason, number in rejected.items() if number},
+    )
+
+
+def first_of_runs(codes: Codes) -> Int:
+    """The index of the first of each run of equal codes (N,): one point a voxel."""
+    return np.flatnonzero(np.concatenate([[True], codes[1:] != codes[:-1]]))
+
+
+def _check_extent(points: Float, total: int) -> None:
+    distinct = _distinct(points)
+    if distinct < FEWEST_POINTS:
+        raise InputError(
+            f"the cloud has {distinct} distinct usable points of {total}",
+            advice=f"a surface needs at least {FEWEST_POINTS}",
+        )
+    extent = np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T))
+    if extent[1] <= 1e-12 * extent[2]:
+        raise InputError("all points of the cloud lie on one line", advice="a surface needs points beside it")
+
+
+def _distinct(points: Float) -> int:
+    """How many of points (N, 3) differ; where the first thousand are enough for a surface, only of those."""
+    count = len(np.unique(points[:1000], axis=0))
+    return count if count >= FEWEST_POINTS else len(np.unique(points, axis=0))
+
+
+def _spatial_order(points: Float, voxel: float) -> tuple[Codes, Int]:
+    """Morton codes of the voxels of points (N, 3) from 0, ascending, and the order of the points that this takes."""
+    extent = float(points.max())
+    if extent >= _MOST_VOXELS * voxel:
+        raise InputError(
+            f"the cloud is {extent:g} m wide, more than {_MOST_VOXELS} voxels of {voxel:g} m",
+            advice="leave out points that are far off, or choose a larger spacing",
+        )
+    codes = _morton_codes(points, voxel)
+    order = np.argsort(codes, kind="stable")
+    return codes[order], order
+
+
+@numba.njit(cache=True, nogil=True)
+def _morton_codes(points, voxel):  # type: ignore[no-untyped-def]
+    codes = np.empty(len(points), np.uint64)
+    for i in range(len(points)):
+        code = np.uint64(0)
+        for axis in range(3):
+            # Spread the bits of the coordinate so that two places stay free between them.
+            b = np.uint64(points[i, axis] / voxel)
+            b = (b | (b << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
+            b = (b | (b << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
+            b = (b | (b << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
+            b = (b | (b << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
+            b = (b | (b << np.uint64(2))) & np.uint64(0x1249249249249249)
+            code |= b << np.uint64(axis)
+        codes[i] = code
+    return codes
+
+
+@dataclass(frozen=True, slots=True)
+class _Local:
+    """The surroundings of N points.
+
+    middles, normals: (N, 3) planes. deviation: (N,) m, of the neighbors across them. spans: (N,) whether the neighbors
+    determine the plane. count: (N,) how many are near. around: (N, 8) one neighbor a direction, -1 for none.
+    """
+
+    middles: Float
+    normals: Float
+    deviation: Float
+    spans: Mask
+    count: Int
+    around: NDArray[np.int32]
+
+    def select(self, which: Mask) -> _Local:
+        return _Local(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def _local_planes(
+    points: Float, sensor: Float | None, cells: Codes, radius: float, neighbors: int, workers: int
+) -> _Local:
+    """Fit a plane to the neighbors of each point, wider and coarser where the nearest ones do not span one."""
+    size = len(points)
+    local = _Local(
+        middles=np.empty((size, 3)),
+        normals=np.empty((size, 3)),
+        deviation=np.empty(size),
+        spans=np.zeros(size, bool),
+        count=np.zeros(size, np.int64),
+        around=np.empty((size, SECTORS), np.int32),
+    )
+    _fit_rows(points, sensor, np.arange(size), np.arange(size), radius, neighbors, workers, local)
+    for widening in range(_WIDENINGS):
+        rows = np.flatnonzero(~local.spans & (local.count > _FEWEST_NEIGHBORS))
+        coarse = first_of_runs(cells >> np.uint64(3 * widening))
+        _fit_rows(points, sensor, rows, coarse, radius * 2 ** (widening + 1), neighbors, workers, local)
+    return local
+
+
+def _fit_rows(
+    points: Float,
+    sensor: Float | None,
+    rows: Int,
+    base: Int,
+    radius: float,
+    neighbors: int,
+    workers: int,
+    local: _Local,
+) -> None:
+    """Fit planes at points[rows] to their neighbors in points[base] and note them in local.
+
+    Where base is only a part of the points, planes are noted only where the neighbors span one.
+    """
+    everywhere = len(base) == len(points)
+    tree = cKDTree(points[base], balanced_tree=False)
+    # The tree gives len(base) where there is no neighbor.
+    number = np.append(base, len(points))
+
+    def fit(start: int) -> None:
+        chunk = rows[start : start + _CHUNK]
+        index = tree.query(points[chunk], k=np.arange(1, neighbors + 1), distance_upper_bound=radius)[1]
+        planes = fit_local_planes(points, chunk, number[index])
+        normals = planes.normals if sensor is None else orient_to_sensor(points[chunk], planes.normals, sensor[chunk])
+        spans = _spans_plane(points[chunk], normals, planes.spread, None if sensor is None else sensor[chunk])
+        take = spans | everywhere
+        into = chunk[take]
+        local.middles[into] = planes.middles[take]
+        local.normals[into] = normals[take]
+        local.deviation[into] = planes.spread[take, 0]
+        local.around[into] = planes.around[take]
+        local.spans[into] = spans[take]
+        if everywhere:
+            local.count[chunk] = planes.count
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(fit, range(0, len(rows), _CHUNK)))
+
+
+def _spans_plane(points: Float, normals: Float, spread: Float, sensor: Float | None) -> Mask:
+    """Whether neighbors with such a spread determine a plane, and not only a line of one scan."""
+    good = spread[:, 1] * _LINE > spread[:, 2]
+    if sensor is not None:
+        ray = sensor - points
+        good &= np.einsum("ij,ij->i", normals, ray) >= _EDGE_ON * np.linalg.norm(ray, axis=1)
+    return good
+
+
+@numba.njit(cache=True, nogil=True)
+def _median_distances(points, normals, around):  # type: ignore[no-untyped-def]
+    """Median distance (N,) of each point from the planes of its neighbors."""
+    result = np.zeros(len(points))
+    distance = np.empty(around.shape[1])
+    for i in range(len(points)):
+        count = 0
+        for j in around[i]:
+            if j >= 0:
+                off = 0.0
+                for axis in range(3):
+                    off += (points[i, axis] - points[j, axis]) * normals[j, axis]
+                place = count
+                while place > 0 and distance[place - 1] > abs(off):
+                    distance[place] = distance[place - 1]
+                    place -= 1
+                distance[place] = abs(off)
+                count += 1
+        if count:
+            result[i] = 0.5 * (distance[(count - 1) // 2] + distance[count // 2])
+    return result
+
+
+def _links_among(around: NDArray[np.int32], good: Mask) -> NDArray[np.int32]:
+    """Neighbors (M, 8) of the good points, numbered among them; the point itself for none or a point not good."""
+    number = np.full(len(good) + 1, -1, np.int32)
+    number[:-1][good] = np.arange(np.count_nonzero(good), dtype=np.int32)
+    links = number[around[good]]
+    own = np.arange(len(links), dtype=np.int32)[:, None]
+    return np.where(links < 0, own, links)
+
+
+def _one_by_count(codes: Codes) -> Float:
+    """One by the number of equal codes, for each of ascending codes (N,)."""
+    first = first_of_runs(codes)
+    count = np.diff(np.append(first, len(codes)))
+    return np.repeat(1.0 / count, count)

@@ -1,0 +1,258 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from g2_recon.reconstruction.intersections import crossing_pairs
+from g2_recon.reconstruction.mesh_repair import (
+    border_half_edges,
+    extend_borders,
+    fill_small_loops,
+    large_pieces,
+    remove_crossings,
+    split_pinched,
+)
+from g2_recon.reconstruction.support import point_grid
+
+
+def sheet(columns=6, rows=6, step=0.2):
+    """A flat sheet of triangles; vertex i * columns + j lies at (j, i) steps."""
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    vertices = step * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    below = np.column_stack([corner, corner + 1, corner + columns + 1])
+    above = np.column_stack([corner, corner + columns + 1, corner + columns])
+    return vertices, np.concatenate([below, above])
+
+
+def half_edges(faces):
+    return np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1)
+
+
+def is_oriented_manifold(faces):
+    return len(np.unique(half_edges(faces), axis=0)) == faces.size
+
+
+def fans_per_vertex(faces):
+    """How many fans of faces each vertex has, counted by walking from face to face across shared edges."""
+    result = {}
+    for vertex in np.unique(faces):
+        # Each face at the vertex leads from one neighbor to the next one.
+        leads = {
+            face[(list(face).index(vertex) + 1) % 3]: face[list(face).index(vertex) - 1]
+            for face in faces.tolist()
+            if vertex in face
+        }
+        parts = 0
+        while leads:
+            waiting = [next(iter(leads))]
+            parts += 1
+            while waiting:
+                one = waiting.pop()
+                if one in leads:
+                    other = leads.pop(one)
+                    waiting += [other] + [begin for begin, end in leads.items() if end in (one, other)]
+        result[int(vertex)] = parts
+    return result
+
+
+def two_triangles_at_a_point():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [-1, 0, 0], [-1, -1, 0.0]])
+    return vertices, np.array([[0, 1, 2], [0, 3, 4]])
+
+
+class TestPinchedVertices:
+    def test_each_fan_gets_its_own_vertex(self):
+        vertices, faces = two_triangles_at_a_point()
+        _, split, origin = split_pinched(vertices, faces)
+        assert not set(split[0]) & set(split[1])
+        assert (origin[split] == faces).all()
+
+    def test_the_copies_lie_near_the_vertex_but_apart(self):
+        vertices, faces = two_triangles_at_a_point()
+        placed, split, origin = split_pinched(vertices, faces)
+        moved = np.linalg.norm(placed - vertices[origin], axis=1)
+        assert moved.max() < 0.01
+        assert np.linalg.norm(placed[split[0, 0]] - placed[split[1, 0]]) > 0.005
+
+    def test_a_mesh_without_pinches_stays_as_it_is(self):
+        vertices, faces = sheet()
+        placed, split, origin = split_pinched(vertices, faces)
+        assert (placed == vertices).all()
+        assert (split == faces).all()
+        assert (origin == np.arange(len(vertices))).all()
+
+    def test_a_mesh_without_faces_stays_as_it_is(self):
+        vertices, _ = sheet()
+        placed, split, _ = split_pinched(vertices, np.empty((0, 3), np.int64))
+        assert (placed == vertices).all()
+        assert split.shape == (0, 3)
+
+    @settings(max_examples=40, deadline=None, derandomize=True)
+    @given(st.integers(0, 2**32 - 1))
+    def test_any_part_of_a_sheet_becomes_vertex_manifold(self, seed):
+        vertices, faces = sheet()
+        rng = np.random.default_rng(seed)
+        faces = faces[rng.random(len(faces)) < rng.uniform(0.1, 1)]
+        placed, split, origin = split_pinched(vertices, faces)
+        assert is_oriented_manifold(split)
+        assert set(fans_per_vertex(split).values()) <= {1}
+        assert (origin[split] == faces).all()
+        assert np.isfinite(placed).all()
+        assert not len(crossing_pairs(placed, split))
+
+
+class TestSmallLoops:
+    def fill(self, vertices, faces, points=None, **options):
+        grid = point_grid(vertices if points is None else points, cell=0.1)
+        return fill_small_loops(vertices, faces, grid, support_distance=0.2, **options)
+
+    def test_a_small_hole_with_data_is_closed(self):
+        vertices, faces = sheet()
+        holed = faces[~(faces == 14).any(axis=1)]
+        whole = np.concatenate([holed, self.fill(vertices, holed)])
+        assert is_oriented_manifold(whole)
+        assert len(border_half_edges(whole, len(vertices))) == 20
+
+    def test_the_new_faces_look_the_way_of_their_neighbors(self):
+        vertices, faces = sheet()
+        new = self.fill(vertices, faces[~(faces == 14).any(axis=1)])
+        a, b, c = (vertices[new[:, corner]] for corner in range(3))
+        assert len(new)
+        assert (np.cross(b - a, c - a)[:, 2] > 0).all()
+
+    def test_a_hole_without_data_stays_open(self):
+        vertices, faces = sheet(step=0.5)
+        holed = faces[~(faces == 14).any(axis=1)]
+        assert len(self.fill(vertices, holed, vertices[np.unique(holed)])) == 0
+
+    def test_a_hole_with_too_many_edges_stays_open(self):
+        vertices, faces = sheet()
+        holed = faces[~(faces == 14).any(axis=1)]
+        assert len(self.fill(vertices, holed, max_edges=5)) == 0
+
+    def test_two_holes_that_touch_in_a_vertex_are_both_closed(self):
+        vertices, faces = sheet()
+        holes = [[14, 15, 21], [21, 22, 28], [21, 28, 27]]
+        holed = np.array([face for face in faces.tolist() if face not in holes])
+        whole = np.concatenate([holed, self.fill(vertices, holed)])
+        assert is_oriented_manifold(whole)
+        assert len(whole) == len(faces)
+
+    def test_a_hole_with_something_in_it_is_not_closed_across_it(self):
+        vertices, faces = sheet()
+        holed = faces[~(faces == 14).any(axis=1)]
+        through = np.array([[0.4, 0.4, -0.3], [0.41, 0.43, 0.3], [0.44, 0.41, 0.3]])
+        both = np.concatenate([vertices, through])
+        mesh = np.concatenate([holed, [[36, 37, 38]]])
+        assert not (self.fill(both, mesh) < 36).all(axis=1).any()
+
+    @settings(max_examples=40, deadline=None, derandomize=True)
+    @given(st.integers(0, 2**32 - 1))
+    def test_any_holes_leave_an_oriented_manifold_without_crossings(self, seed):
+        rng = np.random.default_rng(seed)
+        vertices, faces = sheet()
+        vertices = vertices + rng.normal(0, 0.01, vertices.shape)
+        holed = faces[rng.random(len(faces)) < rng.uniform(0.5, 1)]
+        whole = np.concatenate([holed, self.fill(vertices, holed)])
+        assert is_oriented_manifold(whole)
+        assert len(whole) >= len(holed)
+        assert not len(crossing_pairs(vertices, whole))
+
+
+class TestCrossings:
+    def two_sheets(self):
+        """A floor, and a wall that has grown 10 cm through it; home is where the wall ends 5 cm above it."""
+        floor, faces = sheet()
+        wall, wall_faces = sheet()
+        wall = wall[:, [0, 2, 1]] + (0.03, 0.51, 0.05)
+        home = np.concatenate([floor, wall])
+        moved = home.copy()
+        moved[36:42, 2] = -0.1
+        return moved, np.concatenate([faces, wall_faces + 36]), home
+
+    def test_vertices_that_went_too_far_go_back_and_no_face_is_lost(self):
+        vertices, faces, home = self.two_sheets()
+        assert len(crossing_pairs(vertices, faces))
+        mended, keep = remove_crossings(vertices, faces, home)
+        assert keep.all()
+        assert not len(crossing_pairs(mended, faces))
+        assert (mended[:36] == home[:36]).all()
+
+    def test_faces_that_cross_at_home_too_are_dropped(self):
+        vertices, faces, _ = self.two_sheets()
+        mended, keep = remove_crossings(vertices, faces, vertices)
+        assert (mended == vertices).all()
+        assert 0 < (~keep).sum() <= 11
+        assert not len(crossing_pairs(vertices, faces[keep]))
+
+    def test_one_face_through_many_is_dropped_and_not_the_many(self):
+        vertices, faces = sheet()
+        through = np.array([[0.1, 0.31, -0.2], [0.9, 0.31, -0.2], [0.5, 0.33, 0.3]])
+        both = np.concatenate([vertices, through])
+        _, keep = remove_crossings(both, np.concatenate([faces, [[36, 37, 38]]]), both)
+        assert np.flatnonzero(~keep).tolist() == [len(faces)]
+
+
+class TestBorders:
+    def data(self, low, high):
+        x, y = np.meshgrid(np.arange(low, high + 1e-9, 0.02), np.arange(low, high + 1e-9, 0.02))
+        return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+    def extend(self, vertices, faces, points, **options):
+        normals = np.tile([0, 0, 1.0], (len(vertices), 1))
+        owner = np.argmin(np.linalg.norm(points[:, None] - vertices, axis=2), axis=1)
+        return extend_borders(vertices, faces, normals, points, owner, limit=0.18, **options)
+
+    def test_the_border_moves_out_to_its_data_and_the_margin(self):
+        vertices, faces = sheet()
+        moved = self.extend(vertices, faces, self.data(-0.1, 1.1))
+        # The last row of data lies at 0.1 m, the 98 % quantile of it and the rows before at most a step below.
+        assert moved[1:5, 1] == pytest.approx(-0.13, abs=0.02)
+
+    def test_the_inside_stays(self):
+        vertices, faces = sheet()
+        moved = self.extend(vertices, faces, self.data(-0.1, 1.1))
+        inside = np.setdiff1d(np.arange(36), border_half_edges(faces, 36))
+        assert (moved[inside] == vertices[inside]).all()
+
+    def test_the_border_moves_at_most_by_the_limit(self):
+        vertices, faces = sheet()
+        moved = self.extend(vertices, faces, self.data(-0.6, 1.6))
+        assert np.linalg.norm(moved - vertices, axis=1).max() == pytest.approx(0.18)
+
+    def test_a_border_vertex_without_data_stays(self):
+        vertices, faces = sheet()
+        far = np.zeros((5, 3))
+        owner = np.full(5, -1)
+        moved = extend_borders(vertices, faces, np.tile([0, 0, 1.0], (36, 1)), far, owner, limit=0.18)
+        assert (moved == vertices).all()
+
+    def test_a_crease_vertex_goes_along_its_crease_with_its_neighbors(self):
+        flat, faces = sheet(columns=3, rows=3)
+        folded = flat.copy()
+        folded[[2, 5, 8]] = folded[[1, 4, 7]] + (0, 0, 0.2)
+        normals = np.zeros((9, 3))
+        normals[[0, 3, 6]], normals[[2, 5, 8]] = (0, 0, 1), (-1, 0, 0)
+        points = np.repeat(folded[[0, 2]], 3, axis=0) - (0, 0.1, 0)
+        moved = extend_borders(folded, faces, normals, points, np.repeat([0, 2], 3), limit=0.18)
+        step = (moved - folded)[[0, 1, 2]]
+        assert step[1, [0, 2]] == pytest.approx([0, 0], abs=1e-12)
+        assert step[1, 1] == pytest.approx(0.5 * (step[0, 1] + step[2, 1]))
+        assert step[1, 1] < -0.05
+
+
+def test_small_pieces_are_told_from_large_ones():
+    vertices, faces = sheet()
+    small = np.array([[3, 0, 0], [3.1, 0, 0], [3, 0.1, 0]])
+    both = np.concatenate([vertices, small])
+    large = large_pieces(both, np.concatenate([faces, [[36, 37, 38]]]), least_area=0.1)
+    assert large.tolist() == [True] * len(faces) + [False]
+
+
+def test_pieces_that_touch_in_a_vertex_are_two():
+    vertices, faces = two_triangles_at_a_point()
+    vertices[3:] *= 0.1
+    assert large_pieces(vertices, faces, least_area=0.1).tolist() == [True, False]
