@@ -26,6 +26,13 @@ _GUESS_SHARE = np.array([0.1, 0.1, 0.2])
 # Without odometry the guess is that nothing has changed since the step before, which a robot that starts, stops or
 # turns refutes.
 _GUESS_FLOOR_WITHOUT_ODOMETRY = np.array([0.1, 0.1, 0.2])
+# The first gate of the match lets through what an uncertain guess moves a point by; a turn does so at 3 m, where the
+# walls of rooms and corridors are.
+_GATE = np.array([3.0, 3.0, 3.0])
+
+# Odometry that claims more than this between two scans has jumped: no robot indoors is that fast.
+_JUMP_M = 0.5
+_FASTEST_M_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +72,7 @@ class Localizer:
         self._odometry: Float | None = None
         self._covariance: Float = np.zeros((3, 3))
         self.unmatched = 0
+        self.odometry_jumps = 0
 
     def process(self, scan: Scan, odometry: ArrayLike | None = None) -> LocalizedScan:
         """Localize one scan and, where the robot has moved on, add it to the map.
@@ -72,7 +80,7 @@ class Localizer:
         odometry: (3,) x, y, yaw of T_odom_base when the scan was taken; None or NaN where unknown.
         """
         points, normals = self._points_in_base(scan)
-        guess, sigma = self._first_guess(odometry)
+        guess, sigma = self._first_guess(scan.stamp, odometry)
         result = self._match(points, normals, guess, sigma)
         matched = result is not None and result.inliers >= self._config.min_inliers
         if result is not None and matched:
@@ -114,7 +122,7 @@ class Localizer:
         turn = self._T_base_laser[:2, :2].T
         return planar[known] @ turn + self._T_base_laser[:2, 3], normals[known] @ turn
 
-    def _first_guess(self, odometry: ArrayLike | None) -> tuple[Float, Float]:
+    def _first_guess(self, stamp: float, odometry: ArrayLike | None) -> tuple[Float, Float]:
         """The pose (3,) that odometry predicts, or constant velocity where there is none, and its sigma (3,)."""
         measured = None if odometry is None or not self._config.use_odometry else np.asarray(odometry, float)
         if measured is not None and not np.isfinite(measured).all():
@@ -124,7 +132,11 @@ class Localizer:
             return self._start, np.zeros(3)
         if measured is None or last is None:
             return self._moved_on(self._last_step, _GUESS_FLOOR_WITHOUT_ODOMETRY)
-        return self._moved_on(se2.relative(last, measured), _GUESS_FLOOR)
+        step = se2.relative(last, measured)
+        if np.hypot(step[0], step[1]) > _JUMP_M + _FASTEST_M_S * abs(stamp - self._stamps[-1]):
+            self.odometry_jumps += 1
+            return self._moved_on(self._last_step, _GUESS_FLOOR_WITHOUT_ODOMETRY)
+        return self._moved_on(step, _GUESS_FLOOR)
 
     def _moved_on(self, step: Float, floor: Float) -> tuple[Float, Float]:
         way = np.hypot(step[0], step[1])
@@ -138,7 +150,7 @@ class Localizer:
             normals,
             self._map,
             guess,
-            max_correspondence=self._config.max_correspondence,
+            max_correspondence=max(self._config.max_correspondence, *(_GATE * sigma)),
             min_correspondence=self._config.min_correspondence,
             max_iterations=self._config.max_iterations,
             guess_sigma=sigma,

@@ -146,8 +146,10 @@ def normal_equations(
 # Neighboring beams farther apart than this (m, and share of the range) do not lie on one surface.
 _SURFACE_GAP_M = 0.15
 _SURFACE_GAP_SHARE = 0.12
-# Beams on either side that a line is laid through, and how many it takes.
+# Beams on either side that a line is laid through: so many, and with dense beams all within this distance; and how many
+# points it takes.
 _NEIGHBORS = 4
+_NEIGHBORHOOD_M = 0.08
 _FEWEST_ON_LINE = 4
 # A line is one if its points scatter less than this across it, in metres and as a share of their scatter along it.
 _LINE_SIGMA_M = 0.03
@@ -158,17 +160,19 @@ _LINE_SHARE = 0.17
 def beam_normals(points: Float, beams: NDArray[np.int64]) -> Float:
     """Unit normals (N, 2) of the points (N, 2) of one scan in the laser frame, towards the laser; zero where unclear.
 
-    beams: (N,) ascending beam indices. A line is laid through a point and its neighbors up to four beams to each side
-    (principal axis of their scatter), as far as they lie on one surface.
+    beams: (N,) ascending beam indices. A line is laid through a point and its neighbors (principal axis of their
+    scatter), up to four beams or 8 cm to each side, as far as they lie on one surface.
     """
     normal = np.zeros((len(points), 2))
     for i in range(len(points)):
         gap = max(_SURFACE_GAP_M, _SURFACE_GAP_SHARE * math.hypot(points[i, 0], points[i, 1]))
         first = i
-        while first > 0 and i - first < _NEIGHBORS and _adjacent(points, beams, first - 1, first, gap):
+        while first > 0 and _belongs(points, i, first - 1) and _adjacent(points, beams, first - 1, first, gap):
             first -= 1
         last = i
-        while last + 1 < len(points) and last - i < _NEIGHBORS and _adjacent(points, beams, last, last + 1, gap):
+        while (
+            last + 1 < len(points) and _belongs(points, i, last + 1) and _adjacent(points, beams, last, last + 1, gap)
+        ):
             last += 1
         count = last + 1 - first
         if count < _FEWEST_ON_LINE:
@@ -195,3 +199,9 @@ def beam_normals(points: Float, beams: NDArray[np.int64]) -> Float:
 def _adjacent(points, beams, one, other, gap):  # type: ignore[no-untyped-def]
     near = math.hypot(points[one, 0] - points[other, 0], points[one, 1] - points[other, 1]) <= gap
     return near and beams[other] - beams[one] == 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _belongs(points, center, other):  # type: ignore[no-untyped-def]
+    distance = math.hypot(points[center, 0] - points[other, 0], points[center, 1] - points[other, 1])
+    return abs(center - other) <= _NEIGHBORS or distance <= _NEIGHBORHOOD_M

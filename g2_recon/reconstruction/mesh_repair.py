@@ -145,9 +145,9 @@ def _outward_directions(vertices: Float, faces: Int, normals: Float) -> Float:
     """Unit vectors (V, 3) off the surface in the tangent plane of each border vertex; zero for others."""
     area = _area_vectors(vertices, faces)
     area /= np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-12)
-    begin, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    is_open = ~np.isin(begin * len(vertices) + end, end * len(vertices) + begin)
-    begin, end = begin[is_open], end[is_open]
+    starts, ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    is_open = ~np.isin(starts * len(vertices) + ends, ends * len(vertices) + starts)
+    begin, end = starts[is_open], ends[is_open]
     # As long as the edge, so that a long side counts for more.
     away = np.cross(vertices[end] - vertices[begin], np.repeat(area, 3, axis=0)[is_open])
     both = np.concatenate([begin, end])

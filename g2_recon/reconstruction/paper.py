@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.config import ReconstructionConfig
+from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.progress import Progress, silent
@@ -22,7 +23,7 @@ from g2_recon.reconstruction.joining import join_borders
 from g2_recon.reconstruction.lattice import Lattice, rectangular
 from g2_recon.reconstruction.reoptimization import border_region, reoptimize_batch, reoptimize_online
 from g2_recon.reconstruction.result import Reconstruction
-from g2_recon.reconstruction.som import best_matching_units, spread_over, train_batch, train_online
+from g2_recon.reconstruction.som import Stop, best_matching_units, spread_over, train_batch, train_online
 from g2_recon.reconstruction.triangulation import face_towards_sensor, split_cells
 
 Float = NDArray[np.float64]
@@ -31,6 +32,8 @@ Int = NDArray[np.int64]
 # A cluster that spans free space is divided and the centers are improved again, so that the number of clusters stays
 # as asked; what still falls into pieces after so many rounds is divided for good.
 _CLUSTERING_ROUNDS = 4
+# A cloud that falls into more pieces a cluster is not sampled densely enough to hang together.
+_MOST_PIECES = 20
 # The batch rule would shrink each map by about a cell if it ended with the neighborhood of 1 of the iterative rule.
 _BATCH_WIDTH_END = 0.35
 
@@ -93,6 +96,11 @@ def initial_clustering(points: Float, config: ReconstructionConfig, progress: Pr
         progress("clustering", done + 1, _CLUSTERING_ROUNDS)
         if pieces.max() == label.max():
             break
+        if pieces.max() >= _MOST_PIECES * clusters:
+            raise InputError(
+                f"the clusters fall into {pieces.max() + 1} pieces more than {config.cluster_gap:g} m apart",
+                advice="choose a larger cluster_gap; is the cloud in metres?",
+            )
         largest = np.argsort(np.bincount(pieces), kind="stable")[::-1][:clusters]
         label = k_means(points, clusters, seed=config.seed, start=centers(points, pieces)[largest])
     progress("clustering", _CLUSTERING_ROUNDS, _CLUSTERING_ROUNDS)
@@ -109,9 +117,9 @@ def build_submaps(points: Float, label: Int, config: ReconstructionConfig, progr
     weights = np.empty((len(members), len(lattice), 3))
     bmu = np.empty(len(points), np.int64)
 
-    def train(number: int) -> None:
+    def train(number: int, stop: Stop) -> None:
         own = points[members[number]]
-        weights[number] = _trained(own, lattice, config, seed=config.seed + number)
+        weights[number] = _trained(own, lattice, config, seed=config.seed + number, stop=stop)
         bmu[members[number]] = best_matching_units(own, weights[number]) + number * len(lattice)
 
     _in_parallel(train, [len(member) for member in members], config.workers, progress)
@@ -126,7 +134,7 @@ def build_submaps(points: Float, label: Int, config: ReconstructionConfig, progr
     )
 
 
-def _trained(points: Float, lattice: Lattice, config: ReconstructionConfig, *, seed: int) -> Float:
+def _trained(points: Float, lattice: Lattice, config: ReconstructionConfig, *, seed: int, stop: Stop) -> Float:
     start = spread_over(points, lattice)
     if config.training == "batch":
         return train_batch(points, start, lattice, epochs=config.epochs, width_end=_BATCH_WIDTH_END)
@@ -138,15 +146,22 @@ def _trained(points: Float, lattice: Lattice, config: ReconstructionConfig, *, s
         learning_rate_start=config.learning_rate_start,
         learning_rate_end=config.learning_rate_end,
         seed=seed,
+        stop=stop,
     )
 
 
-def _in_parallel(work: Callable[[int], None], sizes: list[int], workers: int, progress: Progress) -> None:
-    """Do `work(i)` for each i, the largest first so that no worker is left alone with it at the end."""
-    largest_first = np.argsort(sizes)[::-1]
+def _in_parallel(work: Callable[[int, Stop], None], sizes: list[int], workers: int, progress: Progress) -> None:
+    """Do `work(i, stop)` for each i, the largest first so that no worker is left alone with it at the end."""
+    largest_first = np.argsort(sizes)[::-1].tolist()
+    stop = Stop()
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        for done, _ in enumerate(pool.map(work, largest_first.tolist()), start=1):
-            progress("training", done, len(sizes))
+        try:
+            for done, _ in enumerate(pool.map(lambda number: work(number, stop), largest_first), start=1):
+                progress("training", done, len(sizes))
+        finally:
+            # After an exception, such as a user's interrupt, nobody waits for the maps that are still in training.
+            stop.set()
+            pool.shutdown(cancel_futures=True)
 
 
 def reoptimize_borders(

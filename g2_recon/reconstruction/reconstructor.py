@@ -17,6 +17,10 @@ from g2_recon.reconstruction.result import Reconstruction
 from g2_recon.reconstruction.solid import reconstruct_solid
 
 FEWEST_POINTS = 10
+# Among so many points of a real cloud enough are distinct; only where they are not, all are looked at.
+_ENOUGH_TO_SEE = 1000
+# No robot drives so far; what is wider has stray points or is not in metres.
+_LARGEST_M = 1e6
 
 
 def reconstruct(cloud: Cloud, config: ReconstructionConfig, *, progress: Progress = silent) -> Reconstruction:
@@ -42,13 +46,21 @@ def usable_points(cloud: Cloud, config: ReconstructionConfig) -> tuple[Cloud, di
         distance = np.linalg.norm(finite.points - finite.sensor, axis=1)
         good = finite.select(distance >= config.min_sensor_distance)
     left_out["nearer to the sensor than min_sensor_distance"] = len(finite) - len(good)
-    distinct = len(np.unique(good.points, axis=0))
+    distinct = len(np.unique(good.points[:_ENOUGH_TO_SEE], axis=0))
+    if distinct < FEWEST_POINTS and len(good) > _ENOUGH_TO_SEE:
+        distinct = len(np.unique(good.points, axis=0))
     if distinct < FEWEST_POINTS:
         raise InputError(
             f"the cloud has {distinct} distinct usable points of {len(cloud)}",
             advice=f"a surface needs at least {FEWEST_POINTS}",
         )
-    extent = np.linalg.svd(np.cov(good.points.T), compute_uv=False)
+    size = float(np.ptp(good.points, axis=0).max())
+    if size > _LARGEST_M:
+        raise InputError(
+            f"the cloud is {size:.3g} m wide",
+            advice="give coordinates in metres, and leave out points that are far off",
+        )
+    extent = np.linalg.svd(np.cov((good.points - good.points.mean(axis=0)).T), compute_uv=False)
     if extent[1] <= 1e-12 * extent[0]:
         raise InputError("all points of the cloud lie on one line", advice="a surface needs points beside it")
     return good, {reason: count for reason, count in left_out.items() if count}

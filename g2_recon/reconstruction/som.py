@@ -9,6 +9,7 @@ a Gaussian of the lattice distance in steps that gets narrower during training.
 from __future__ import annotations
 
 import math
+import threading
 
 import numba
 import numpy as np
@@ -17,6 +18,11 @@ from numpy.typing import NDArray
 from g2_recon.reconstruction.lattice import Lattice
 
 Float = NDArray[np.float64]
+Stop = threading.Event
+NEVER = threading.Event()
+
+# The kernel is left this often to see whether it should stop.
+_PASSES_AT_ONCE = 100
 
 
 def spread_over(points: Float, lattice: Lattice) -> Float:
@@ -44,44 +50,43 @@ def train_online(
     learning_rate_start: float,
     learning_rate_end: float,
     seed: int,
+    stop: Stop = NEVER,
 ) -> Float:
     """Neurons (n, 3) after `passes` presentations of all points (N, 3), in random order (paper, sections 3.2 and 4).
 
     The learning rate falls linearly from start to end, the neighborhood radius r from the longest path of the lattice
     to 1. The paper leaves the function open; here it is exp(-2 d^2 / r^2), so that r is two standard deviations. With
     r as one, neighbors would keep pulling at the end, each map would end one cell short of its data, and the two cubes
-    of the paper would stay in pieces.
+    of the paper would stay in pieces. Training ends early when `stop` is set.
     """
-    weights = np.ascontiguousarray(start.T, dtype=np.float32)
-    _train_online(
-        np.ascontiguousarray(points, dtype=np.float32),
-        weights,
-        lattice.steps,
-        passes,
-        learning_rate_start,
-        learning_rate_end,
-        float(lattice.longest_path),
-        seed,
-    )
-    return weights.T.astype(float)
+    # Single precision is fast; around the middle of the points it is also fine enough, wherever on earth they are.
+    middle = points.mean(axis=0)
+    weights = np.ascontiguousarray((start - middle).T, dtype=np.float32)
+    presented = np.ascontiguousarray(points - middle, dtype=np.float32)
+    state = np.array([seed * 2 + 1], np.uint64)
+    order = np.arange(len(points))
+    for first in range(0, passes, _PASSES_AT_ONCE):
+        if stop.is_set():
+            break
+        numbers = np.arange(first, min(first + _PASSES_AT_ONCE, passes))
+        done = numbers / max(passes - 1, 1)
+        rates = learning_rate_start + (learning_rate_end - learning_rate_start) * done
+        radii = lattice.longest_path + (1.0 - lattice.longest_path) * done
+        _present(presented, weights, lattice.steps, order, rates, radii, state)
+    return weights.T.astype(float) + middle
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def _train_online(points, weights, steps, passes, rate_start, rate_end, width_start, seed):  # type: ignore[no-untyped-def]
-    """Weights (3, n) are changed in place; the schedule advances once a pass."""
-    np.random.seed(seed)  # noqa: NPY002 - Numba's own generator, one a thread
+def _present(points, weights, steps, order, rates, radii, state):  # type: ignore[no-untyped-def]
+    """A pass over the points for each rate and radius; weights (3, n), order and state are changed in place."""
     count = weights.shape[1]
-    order = np.arange(len(points))
     distance = np.empty(count, np.float32)
     pull = np.empty((count, count), np.float32)
-    for number in range(passes):
-        done = number / max(passes - 1, 1)
-        rate = rate_start + (rate_end - rate_start) * done
-        width = width_start + (1.0 - width_start) * done
+    for number in range(len(rates)):
         for i in range(count):
             for j in range(count):
-                pull[i, j] = rate * math.exp(-2.0 * (steps[i, j] / width) ** 2)
-        np.random.shuffle(order)  # noqa: NPY002
+                pull[i, j] = rates[number] * math.exp(-2.0 * (steps[i, j] / radii[number]) ** 2)
+        _shuffle(order, state)
         for index in order:
             x, y, z = points[index, 0], points[index, 1], points[index, 2]
             for j in range(count):
@@ -95,6 +100,19 @@ def _train_online(points, weights, steps, passes, rate_start, rate_end, width_st
                 weights[0, j] += pull[bmu, j] * (x - weights[0, j])
                 weights[1, j] += pull[bmu, j] * (y - weights[1, j])
                 weights[2, j] += pull[bmu, j] * (z - weights[2, j])
+
+
+@numba.njit(cache=True, nogil=True)
+def _shuffle(order, state):  # type: ignore[no-untyped-def]
+    """Fisher and Yates' shuffle with Marsaglia's xorshift generator, so that each map has a sequence of its own."""
+    x = state[0]
+    for i in range(len(order) - 1, 0, -1):
+        x ^= x << np.uint64(13)
+        x ^= x >> np.uint64(7)
+        x ^= x << np.uint64(17)
+        k = np.int64(x % np.uint64(i + 1))
+        order[i], order[k] = order[k], order[i]
+    state[0] = x
 
 
 def train_batch(points: Float, start: Float, lattice: Lattice, *, epochs: int, width_end: float) -> Float:

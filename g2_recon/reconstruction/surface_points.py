@@ -119,7 +119,7 @@ def prepare(
     if _distinct(points[good]) < FEWEST_POINTS:
         raise InputError(
             f"only {np.count_nonzero(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
-            advice="choose a larger spacing",
+            advice="choose a larger spacing; is the cloud in metres?",
         )
     links = _links_among(local.around, good)
     points, cells, kept, local = points[good], cells[good], kept[good], local.select(good)

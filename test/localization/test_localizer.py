@@ -75,6 +75,17 @@ def test_odometry_that_is_not_a_number_is_not_used(scan_of_room):
     assert errors(results, truth).max() < 0.01
 
 
+@pytest.mark.parametrize("spike", [5.0, 1e4, 1e300])
+def test_odometry_that_jumps_is_not_followed_and_counted(scan_of_room, spike):
+    truth = drive(30)
+    odometry = truth.copy()
+    odometry[12, 0] += spike
+    odometry[20:, 1] -= spike
+    localizer, results = localize([scan_of_room(pose) for pose in truth], odometry)
+    assert errors(results, truth).max() < 0.01
+    assert localizer.odometry_jumps == 3
+
+
 def test_odometry_is_not_looked_at_where_it_is_switched_off(scan_of_room):
     truth = drive(30)
     wild = np.random.default_rng(0).normal(0, 5, truth.shape)

@@ -123,3 +123,8 @@ def test_beams_that_are_not_neighbors_make_no_line():
     points = np.column_stack([np.ones(9), np.linspace(-0.2, 0.2, 9)])
     assert beam_normals(points, np.arange(9)).any()
     assert not beam_normals(points, 2 * np.arange(9)).any()
+
+
+def test_dense_beams_have_normals_too(scan_of_room):
+    points, beams = scan_of_room((0, 0, 0), beams=1441, noise=0.005).points()
+    assert beam_normals(points, beams).any(axis=1).mean() > 0.8

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
+import threading
+
 import numpy as np
 import pytest
 
 from g2_recon.reconstruction.lattice import rectangular
 from g2_recon.reconstruction.som import (
-    _train_online,
     best_matching_units,
     spread_over,
     sums_by_neuron,
@@ -55,9 +56,9 @@ def test_the_kernel_follows_the_rule_of_kohonen():
         bmu = np.linalg.norm(expected - point, axis=1).argmin()
         pull = rate * np.exp(-2 * (lattice.steps[bmu] / radius) ** 2)
         expected += pull[:, None] * (point - expected)
-    weights = np.ascontiguousarray(start.T, np.float32)
-    _train_online(point[None].astype(np.float32), weights, lattice.steps, passes, rate_start, rate_end, 3.0, 0)
-    assert pytest.approx(expected, abs=1e-6) == weights.T
+    schedule = {"learning_rate_start": rate_start, "learning_rate_end": rate_end, "seed": 0}
+    weights = train_online(point[None], start, lattice, passes=passes, **schedule)
+    assert weights == pytest.approx(expected, abs=1e-6)
 
 
 def test_one_batch_epoch_is_a_weighted_mean_of_the_data(sheet):
@@ -108,3 +109,19 @@ def test_sums_by_neuron_add_up_to_the_data(sheet):
     total, count = sums_by_neuron(sheet, bmu, 12)
     assert total.sum(axis=0) == pytest.approx(sheet.sum(axis=0))
     assert count.sum() == len(sheet)
+
+
+def test_training_far_from_the_origin_loses_no_precision(sheet):
+    lattice = rectangular(4, 3)
+    utm = np.array([5e5, 5.4e6, 300.0])
+    near = train_online(sheet, spread_over(sheet, lattice), lattice, passes=20, **SCHEDULE)
+    far = train_online(sheet + utm, spread_over(sheet + utm, lattice), lattice, passes=20, **SCHEDULE)
+    assert far - utm == pytest.approx(near, abs=1e-3)
+
+
+def test_training_ends_when_it_is_told_to(sheet):
+    stop = threading.Event()
+    stop.set()
+    lattice = rectangular(4, 3)
+    start = spread_over(sheet, lattice)
+    assert train_online(sheet, start, lattice, passes=10**6, stop=stop, **SCHEDULE) == pytest.approx(start, abs=1e-5)

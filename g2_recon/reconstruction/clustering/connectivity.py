@@ -20,7 +20,8 @@ def split_disconnected(
     """The clusters (N,) after parting those that fall into pieces more than about `gap` metres apart.
 
     points: (N, 3). label: (N,) clusters from 0. A piece with fewer than `min_points` points goes to the cluster of
-    the nearest point of a larger piece, whichever cluster that is in. Numbered from 0 without gaps.
+    the nearest point of a larger piece, whichever cluster that is in; where all pieces are that small the clusters stay
+    as they are. Numbered from 0 without gaps.
     """
     cell, center, cell_label = _occupied_cells(points, label, gap / _CELLS_PER_GAP)
     pairs = cKDTree(center).query_pairs(gap, output_type="ndarray")
@@ -28,7 +29,9 @@ def split_disconnected(
     graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(center), len(center)))
     piece = connected_components(graph, directed=False)[1][cell]
     large = (np.bincount(piece) >= min_points)[piece]
-    if large.any() and not large.all():
+    if not large.any():
+        return label
+    if not large.all():
         nearest = cKDTree(points[large]).query(points[~large])[1]
         piece[~large] = piece[large][nearest]
     return np.unique(piece, return_inverse=True)[1].reshape(-1).astype(np.int64)
