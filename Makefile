@@ -58,6 +58,7 @@ $(STAMP): Makefile package.xml pyproject.toml setup.cfg setup.py
 	@PYTHONWARNINGS=ignore $(BIN)/python $(PIP_INSTALL) -e '.[$(EXTRAS)]'
 	@$(BIN)/python $(PIP_INSTALL) $(NUMPY_TYPES)
 	@$(BIN)/python -c 'import rclpy' 2>/dev/null || echo "No ROS 2 sourced and no wheels of it for this machine: nodes and their tests are off"
+	@$(BIN)/python -m g2_recon.warm_up
 	@$(BIN)/g2-recon --version
 	@echo '$(WANTED)' > $@
 

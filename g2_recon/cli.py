@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
+import re
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 from rich.console import Console
@@ -25,10 +27,10 @@ from g2_recon.config import (
     RecordingConfig,
     SimulationConfig,
 )
-from g2_recon.errors import G2ReconError, InputError
+from g2_recon.errors import ConfigError, G2ReconError, InputError
 from g2_recon.evaluation.relations import read_relations, score_relations
 from g2_recon.evaluation.trajectory_error import mean_position_error
-from g2_recon.reconstruction.reconstructor import Reconstruction, reconstruct
+from g2_recon.reconstruction.reconstructor import Reconstruction
 from g2_recon.recording.bags import write_bag
 from g2_recon.recording.clouds import read_cloud
 from g2_recon.recording.files import write_arrays
@@ -36,14 +38,16 @@ from g2_recon.recording.meshes import MESH_ENDINGS, write_mesh, write_wire_mesh
 from g2_recon.recording.recordings import read_recording
 from g2_recon.recording.trajectories import read_tum, write_tum
 from g2_recon.simulation.simulator import simulate
-from g2_recon.terminal import StageProgress, print_table, stages
+from g2_recon.terminal import StageProgress, print_paths, print_table, stages
 
 BUNDLED_RECORDING = "first_floor"
 TRUTH_TRAJECTORY = Path("truth") / "trajectory.tum"
 TRUTH_PERIOD_S = 0.04
 TRUTH_SURFACES = Path("truth") / "surfaces.npz"
 
-_log = logging.getLogger(__name__)
+_NEGATIVE_NUMBER = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,6 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except G2ReconError as error:
         print(f"g2-recon: {error}", file=sys.stderr)  # noqa: T201 - this is the one line that a user gets
         return 1
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        print(f"g2-recon: {place}{error.strerror or error}", file=sys.stderr)  # noqa: T201
+        return 1
     except KeyboardInterrupt:
         print("g2-recon: interrupted", file=sys.stderr)  # noqa: T201
         return 130
@@ -71,6 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run_demo(options: argparse.Namespace, console: Console) -> None:
     """Run the whole way on the bundled recording."""
+    _check_files([options.output / "config.yaml"])
     _run(bundled_recording(), options.output, G2ReconConfig(), console)
 
 
@@ -78,7 +87,10 @@ def run_recording(options: argparse.Namespace, console: Console) -> None:
     """Run the whole way on a recording."""
     settings = config.load(options.config) if options.config else G2ReconConfig()
     folder = options.output or Path("out") / _stem(options.recording)
-    _run(options.recording, folder, _overridden(settings, options), console)
+    settings = _overridden(settings, options)
+    # No other name in the folder can be that of settings or of a recording.
+    _check_files([folder / "config.yaml"], inputs=[options.config])
+    _run(options.recording, folder, settings, console)
 
 
 def _run(recording_path: Path, folder: Path, settings: G2ReconConfig, console: Console) -> None:
@@ -97,14 +109,16 @@ def _run(recording_path: Path, folder: Path, settings: G2ReconConfig, console: C
 
 def run_localize(options: argparse.Namespace, console: Console) -> None:
     """Localize a recording's horizontal scans."""
-    settings = config.make(LocalizationConfig, _given(options, "localization"))
-    topics = config.make(RecordingConfig, _given(options, "recording"))
+    settings = _made(LocalizationConfig, _given(options, "localization"), options)
+    topics = _made(RecordingConfig, _given(options, "recording"), options)
     target = options.output or Path(f"{_stem(options.recording)}.tum")
+    plan = target.with_suffix(".png")
+    _check_files([target, plan], inputs=[options.recording, options.relations])
+    relations = read_relations(options.relations) if options.relations else None
     with stages(console) as progress:
         recording = read_recording(options.recording, topics, progress=progress)
         result = pipeline.localize(recording, settings, progress=progress)
         write_tum(target, result.trajectory)
-        plan = target.with_suffix(".png")
         pictures.draw_floor_plan(plan, result.point_map, result.trajectory)
         progress("writing", 1, 1)
     rows: dict[str, Any] = {
@@ -114,51 +128,54 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
         "scans that did not match": result.unmatched,
         **{f"dropped: {reason}": count for reason, count in recording.drops.items()},
     }
-    if options.relations:
-        score = score_relations(read_relations(options.relations), result.trajectory)
+    if relations is not None:
+        score = score_relations(relations, result.trajectory)
         rows["relations"] = f"{score.relations:,} ({score.missed:,} missed)"
         rows["translation error"] = f"{score.translation_mean:.4f} +- {score.translation_std:.4f} m"
         rows["rotation error"] = f"{score.rotation_mean:.3f} +- {score.rotation_std:.3f} deg"
     print_table("localized", rows, progress, console)
-    console.print(f"trajectory: {target}\nfloor plan: {plan}", highlight=False)
+    print_paths({"trajectory": target, "floor plan": plan}, console)
 
 
 def run_reconstruct(options: argparse.Namespace, console: Console) -> None:
     """Reconstruct a mesh from a cloud."""
-    settings = config.make(ReconstructionConfig, _given(options, "reconstruction"))
+    settings = _made(ReconstructionConfig, _given(options, "reconstruction"), options)
     target = options.output or Path(f"{_stem(options.cloud)}_mesh.ply")
     if target.suffix.lower() not in MESH_ENDINGS:
         raise InputError("unknown kind of mesh", where=target, advice=f"use one of {' '.join(MESH_ENDINGS)}")
     wire_target = target.with_name(f"{target.stem}_wire.ply")
     picture = target.with_suffix(".png")
+    _check_files([target, wire_target, picture], inputs=[options.cloud])
     with stages(console) as progress:
         cloud = read_cloud(options.cloud)
         progress("reading", 1, 1)
-        result = reconstruct(cloud, settings, progress=progress)
+        result = pipeline.reconstruct_surface(cloud, settings, progress=progress)
         write_mesh(target, result.mesh)
         write_wire_mesh(wire_target, result.wire_mesh)
         pictures.draw_mesh(picture, result.mesh, result.wire_mesh)
         progress("writing", 1, 1)
     print_table("reconstructed", _reconstruction_rows(result), progress, console)
-    console.print(f"mesh: {target}\nwire mesh: {wire_target}\npicture: {picture}", highlight=False)
+    print_paths({"mesh": target, "wire mesh": wire_target, "picture": picture}, console)
 
 
 def run_import(options: argparse.Namespace, console: Console) -> None:
     """Convert a CARMEN log to a rosbag2."""
+    _check_new_bag(options.output, inputs=[options.recording], force=options.force)
     with stages(console) as progress:
         recording = read_recording(options.recording, progress=progress)
         write_bag(
             options.output, recording, description={"imported from": options.recording.name}, overwrite=options.force
         )
         progress("writing", 1, 1)
-    rows = {"scans": len(recording.scans), "odometry": len(recording.odometry), **recording.drops}
+    rows = {"scans": len(recording.scans), **recording.drops}
     print_table("imported", rows, progress, console)
-    console.print(f"bag: {options.output}", highlight=False)
+    print_paths({"bag": options.output}, console)
 
 
 def run_simulate(options: argparse.Namespace, console: Console) -> None:
     """Simulate a drive and write it as a bag, with the truth beside it."""
-    settings = config.make(SimulationConfig, _given(options, "simulation"))
+    settings = _made(SimulationConfig, _given(options, "simulation"), options)
+    _check_new_bag(options.output, force=options.force)
     with stages(console) as progress:
         simulation = simulate(settings, progress=progress)
         description = {
@@ -179,7 +196,50 @@ def run_simulate(options: argparse.Namespace, console: Console) -> None:
         "way": f"{simulation.trajectory.length():.1f} m",
     }
     print_table("simulated", rows, progress, console)
-    console.print(f"bag: {options.output}", highlight=False)
+    print_paths({"bag": options.output}, console)
+
+
+def _check_files(files: Sequence[Path], *, inputs: Sequence[Path | None] = ()) -> None:
+    """As _check_outputs, for outputs that are files."""
+    _check_outputs(files, inputs=inputs)
+    for file in files:
+        if file.is_dir():
+            raise InputError("is a folder", where=file, advice="choose another name with --output")
+
+
+def _check_outputs(outputs: Sequence[Path], *, inputs: Sequence[Path | None] = ()) -> None:
+    """Before any work: raises InputError where an output would replace an input or another one, or has no place."""
+    sources = {Path(os.path.realpath(path)) for path in inputs if path is not None}
+    taken: set[Path] = set()
+    for output in outputs:
+        # Unlike Path.resolve, this takes a link that leads to itself.
+        real = Path(os.path.realpath(output))
+        # An input is also what holds it, and what a folder that is read holds.
+        is_read = any(real in (source, *source.parents) or source in real.parents for source in sources)
+        if is_read and os.path.lexists(real):
+            raise InputError("would replace what is read", where=output, advice="choose another name with --output")
+        if real in taken:
+            raise InputError(
+                "two results would have this name", where=output, advice="choose another ending with --output"
+            )
+        taken.add(real)
+        folder = real.parent
+        while not os.path.lexists(folder):
+            folder = folder.parent
+        if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(
+                f"cannot be written: {folder} is no folder that may be written to",
+                where=output,
+                advice="choose another place with --output",
+            )
+
+
+def _check_new_bag(folder: Path, *, force: bool, inputs: Sequence[Path] = ()) -> None:
+    if folder.exists() and not force:
+        raise InputError("exists", where=folder, advice="choose another name or replace it with --force")
+    _check_outputs([folder], inputs=inputs)
+    if folder.exists() and not (folder / "metadata.yaml").is_file():
+        raise InputError("exists and is no bag", where=folder, advice="choose another name or remove it")
 
 
 def bundled_recording() -> Path:
@@ -211,7 +271,7 @@ def _print_summary(summary: Mapping[str, Any], progress: StageProgress, folder: 
         rows["mean trajectory error"] = f"{100 * summary['trajectory_error_m']:.2f} cm"
     rows |= {f"dropped: {reason}": f"{count:,}" for reason, count in summary["dropped"].items()}
     print_table("done", rows, progress, console)
-    console.print(f"files: {folder}", highlight=False)
+    print_paths({"files": folder}, console)
 
 
 def _reconstruction_rows(result: Reconstruction) -> dict[str, Any]:
@@ -239,7 +299,9 @@ def build_parser() -> argparse.ArgumentParser:
 
     def add(name: str, command: Any, text: str, details: str = "") -> argparse.ArgumentParser:
         sub = commands.add_parser(name, parents=[common], help=text, description=details or text)
-        sub.set_defaults(command=command)
+        sub.set_defaults(command=command, parser=sub)
+        # That of Python 3.11 takes -1.5e-1 for an option.
+        sub._negative_number_matcher = _NEGATIVE_NUMBER
         return sub
 
     demo = add("demo", run_demo, "the whole way on the recording that comes with g2-recon")
@@ -305,13 +367,41 @@ def _add_settings(parser: argparse.ArgumentParser, model: type[BaseModel], stage
         elif setting.type is tuple:
             extra |= {"nargs": 6, "type": float, "metavar": ("X", "Y", "Z", "ROLL", "PITCH", "YAW")}
         else:
-            extra |= {"type": setting.type}
+            extra |= {"type": _converter(setting)}
         group.add_argument(
             f"--{prefix}{name}",
             dest=f"{stage}.{setting.name}",
             default=argparse.SUPPRESS,
             help=(setting.describe() + shown).replace("%", "%%"),
             **extra,
+        )
+
+
+def _converter(setting: config.Setting) -> Callable[[str], Any]:
+    """What makes the value of an option, so that one out of its range is bad usage."""
+
+    def convert(text: str) -> Any:
+        value = setting.type(text)
+        lowest, highest = setting.minimum, setting.maximum
+        if lowest is not None and highest is not None and not lowest <= value <= highest:
+            raise argparse.ArgumentTypeError(f"{text} is not in {lowest:g} to {highest:g}")
+        return value
+
+    # argparse names it where the text is no such value.
+    convert.__name__ = setting.type.__name__
+    return convert
+
+
+def _made(model: type[Model], values: Mapping[str, Any], options: argparse.Namespace, *, prefix: str = "") -> Model:
+    """The settings of a stage; options that do not go together are bad usage. `prefix` is that of the options."""
+    try:
+        return config.make(model, values)
+    except ConfigError as error:
+        text = str(error).removeprefix(f"{model.__name__}: ")
+        names = "|".join(sorted(model.model_fields, key=len, reverse=True))
+        parser: argparse.ArgumentParser = options.parser
+        parser.error(
+            re.sub(rf"\b({names})\b", lambda found: f"--{prefix}{found[0].replace('_', '-')}", text),
         )
 
 
@@ -322,15 +412,17 @@ def _given(options: argparse.Namespace, stage: str) -> dict[str, Any]:
 
 
 def _overridden(settings: G2ReconConfig, options: argparse.Namespace) -> G2ReconConfig:
-    values = settings.model_dump()
-    for stage in values:
-        values[stage] |= _given(options, stage)
-    return config.make(G2ReconConfig, values)
+    stages_of_run = {
+        name: _made(type(stage), stage.model_dump() | _given(options, name), options, prefix=f"{name}.")
+        for name, stage in settings
+    }
+    return G2ReconConfig(**stages_of_run)
 
 
 def _stem(path: Path) -> str:
     """The name of a recording or cloud without its endings, such as `aces` of `aces.clf.bz2`."""
-    return path.resolve().name.split(".")[0] or "recording"
+    absolute = os.path.abspath(path)  # noqa: PTH100 - Path.resolve fails on a link that leads to itself
+    return Path(absolute).name.split(".")[0] or "recording"
 
 
 if __name__ == "__main__":

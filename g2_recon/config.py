@@ -8,6 +8,7 @@ A field is the key in a YAML file, the option on the command line and the ROS pa
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,12 @@ from pydantic.fields import FieldInfo
 from g2_recon.errors import ConfigError
 
 Model = TypeVar("Model", bound=BaseModel)
+
+# An error stays one line that can be read, whatever was in the file.
+_PROBLEMS_SAID = 5
+_short = reprlib.Repr()
+_short.maxlevel = 2
+_short.maxstring = 80
 
 
 def _setting(default: Any, meaning: str, unit: str = "", *, ge: float | None = None, le: float | None = None) -> Any:
@@ -122,6 +129,10 @@ class RegistrationConfig(_Model):
         return self
 
 
+# The training of one map looks at all pairs of its neurons.
+_MOST_NEURONS = 2500
+
+
 class ReconstructionConfig(_Model):
     """Clusters, one self-organizing map a cluster, joins, borders fitted once more."""
 
@@ -187,6 +198,12 @@ class ReconstructionConfig(_Model):
     )
     seed: int = _setting(0, "seed of everything random", ge=0, le=2**31 - 1)
     workers: int = _setting(0, "threads; 0: one a processor; the result does not depend on it", ge=0, le=1024)
+
+    @model_validator(mode="after")
+    def _check(self) -> ReconstructionConfig:
+        if self.rows * self.columns > _MOST_NEURONS:
+            raise ValueError(f"rows x columns must not be more than {_MOST_NEURONS} neurons")
+        return self
 
 
 class SimulationConfig(_Model):
@@ -275,30 +292,59 @@ def make(model: type[Model], values: Mapping[str, Any], *, where: object = None)
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        problems = [
-            f"{'.'.join(str(part) for part in problem['loc']) or model.__name__}: {problem['msg']}"
-            + (f", got {problem['input']!r}" if problem["loc"] and problem["type"] != "extra_forbidden" else "")
-            for problem in error.errors()
-        ]
-        raise ConfigError("; ".join(problems), where=where) from None
+        problems = error.errors()
+        said = [_problem(problem, model) for problem in problems[:_PROBLEMS_SAID]]
+        more = [f"and {len(problems) - len(said)} more"] if len(problems) > len(said) else []
+        raise ConfigError("; ".join(said + more), where=where) from None
+
+
+def _problem(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
+    place = ".".join(_short.repr(part).strip("'") for part in problem["loc"]) or model.__name__
+    text = f"{place}: {problem['msg'].removeprefix('Value error, ')}"
+    if not problem["loc"] or problem["type"] in ("extra_forbidden", "value_error"):
+        return text
+    try:
+        return f"{text}, got {_short.repr(problem['input'])}"
+    except ValueError:  # Python refuses to write integers of thousands of digits.
+        return text
 
 
 def load(path: str | Path) -> G2ReconConfig:
     """The settings of a run from a YAML file as `dump` writes it; what is not in it keeps its default.
 
-    Raises ConfigError if the file cannot be read, is no YAML mapping, or holds an unknown or wrong setting.
+    Raises ConfigError if the file cannot be read, is no YAML mapping, or holds an unknown, wrong or repeated setting.
     """
     try:
-        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        values = yaml.load(Path(path).read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise ConfigError(error.strerror or "cannot be read", where=path) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise ConfigError("is nested too deeply", where=path) from None
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: no UTF-8, no date, an integer without end
         raise ConfigError(f"is no YAML: {error}", where=path) from error
     if values is None:
         values = {}
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise ConfigError("holds no settings", where=path, advice="expected sections such as 'localization:'")
-    return make(G2ReconConfig, values, where=path)
+    # A section without a body, as where all its settings are commented out.
+    sections = {name: {} if section is None else section for name, section in values.items()}
+    return make(G2ReconConfig, sections, where=path)
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain YAML in which no key of a mapping is repeated."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Instead of merging `<<`, which a few lines could blow up without end, look for repeated keys."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"{_short.repr(key.value)} is there twice", key.start_mark
+                )
+            seen.add(key.value)
 
 
 def dump(config: BaseModel, *, indent: int = 0) -> str:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon import __version__, config, pictures
-from g2_recon.config import G2ReconConfig, LocalizationConfig, RegistrationConfig
+from g2_recon.config import G2ReconConfig, LocalizationConfig, ReconstructionConfig, RegistrationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud, concatenate
@@ -31,6 +32,11 @@ from g2_recon.recording.trajectories import write_tum
 from g2_recon.registration.registrar import Registrar
 
 Float = NDArray[np.float64]
+
+# A share of scans without a match beyond which the trajectory is no longer to be trusted.
+_DOUBTFUL_UNMATCHED = 0.1
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +72,16 @@ def run(recording: Recording, settings: G2ReconConfig, *, progress: Progress = s
     """The whole way: from a recording to a mesh. Raises InputError where a stage has nothing to work on."""
     localization = localize(recording, settings.localization, progress=progress)
     registration = register(recording, localization.trajectory, settings.registration, progress=progress)
-    reconstruction = reconstruct(registration.cloud, settings.reconstruction, progress=progress)
+    reconstruction = reconstruct_surface(registration.cloud, settings.reconstruction, progress=progress)
     drops = Counter(recording.drops) + Counter(registration.drops) + Counter(reconstruction.left_out)
     return Run(localization, registration, reconstruction, dict(drops))
 
 
 def localize(recording: Recording, settings: LocalizationConfig, *, progress: Progress = silent) -> Localization:
-    """The trajectory of the robot from its horizontal scans, and from its odometry where there is some."""
+    """The trajectory of the robot from its horizontal scans, and from its odometry where there is some.
+
+    Raises InputError where no scan can be used; a trajectory that many scans do not fit is logged as doubtful.
+    """
     if not recording.scans:
         raise InputError("the recording holds no scan of a horizontal laser", advice="name its topic with scan_topic")
     T_base_laser = mounting_pose("localization", settings.laser_pose, recording.T_base_laser)
@@ -83,6 +92,18 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
         keyframes += localizer.process(scan, odometry[index]).keyframe
         if index % 64 == 0 or index + 1 == len(recording.scans):
             progress("localization", index + 1, len(recording.scans))
+    if not keyframes:
+        raise InputError(
+            f"none of the {len(recording.scans)} horizontal scans has enough beams on surfaces to start a map",
+            advice="check scan_topic, and localization.min_range and max_range against the ranges in the recording",
+        )
+    if localizer.unmatched > _DOUBTFUL_UNMATCHED * len(recording.scans):
+        _log.warning(
+            "the trajectory is doubtful: %d of %d scans did not match the map; check laser_pose (a laser mounted "
+            "upside down has a roll of pi), the odometry (or use_odometry off), and max_correspondence",
+            localizer.unmatched,
+            len(recording.scans),
+        )
     return Localization(localizer.trajectory(), localizer.point_map(), keyframes, localizer.unmatched)
 
 
@@ -99,7 +120,10 @@ def odometry_at_scans(recording: Recording) -> Float:
 def register(
     recording: Recording, trajectory: Trajectory, settings: RegistrationConfig, *, progress: Progress = silent
 ) -> Registration:
-    """The vertical scans of a recording as one cloud, each beam placed by the trajectory (T_map_base)."""
+    """The vertical scans of a recording as one cloud, each beam placed by the trajectory (T_map_base).
+
+    Raises InputError where not one of them can be placed.
+    """
     if not recording.scans_vertical:
         raise InputError(
             "the recording holds no scan of a vertical laser",
@@ -126,7 +150,25 @@ def register(
         if index % 64 == 0 or index + 1 == len(arrivals):
             progress("registration", index + 1, len(arrivals))
     clouds += [registered.cloud for registered in registrar.finish()]
-    return Registration(concatenate(clouds), len(clouds), registrar.drops)
+    cloud = concatenate(clouds)
+    if not len(cloud):
+        reasons = ", ".join(f"{reason}: {count}" for reason, count in registrar.drops.items())
+        raise InputError(
+            f"none of the {len(recording.scans_vertical)} vertical scans could be placed ({reasons})",
+            advice="check that the clocks of the two lasers agree, and registration.max_gap, min_range and max_range",
+        )
+    return Registration(cloud, len(clouds), registrar.drops)
+
+
+def reconstruct_surface(cloud: Cloud, settings: ReconstructionConfig, *, progress: Progress = silent) -> Reconstruction:
+    """As `reconstruct`; raises InputError also where no triangle came of the cloud."""
+    result = reconstruct(cloud, settings, progress=progress)
+    if not len(result.mesh.faces):
+        raise InputError(
+            f"no surface was found in the {result.points} points of the cloud: the mesh has no triangle",
+            advice=f"set a larger spacing (now {settings.spacing:g} m) or support_distance; coordinates are in metres",
+        )
+    return result
 
 
 def mounting_pose(stage: str, setting: tuple[float, ...], recorded: Float | None) -> Float:

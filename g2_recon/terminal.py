@@ -7,12 +7,14 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Table
+from rich.text import Text
 
 
 class StageProgress:
@@ -53,9 +55,15 @@ def print_table(title: str, rows: Mapping[str, Any], progress: StageProgress, co
     table.add_column()
     table.add_column(justify="right")
     for name, value in rows.items():
-        table.add_row(name, str(value))
+        table.add_row(Text(name), Text(str(value)))
     table.add_section()
     for stage, seconds in progress.seconds.items():
         table.add_row(stage, f"{seconds:.2f} s")
     table.add_row("in all", f"{sum(progress.seconds.values()):.2f} s")
     console.print(table)
+
+
+def print_paths(paths: Mapping[str, Path], console: Console) -> None:
+    """A line for each file or folder that was written, its path as it is: no markup, no line breaks."""
+    for name, path in paths.items():
+        console.print(f"{name}: {path}", markup=False, highlight=False, soft_wrap=True)

@@ -177,8 +177,131 @@ def test_a_missing_file_is_one_line_and_status_1(command, tmp_path, capsys):
     assert "nowhere.ply" in refused(capsys, command, tmp_path / "nowhere.ply")
 
 
-def test_a_setting_out_of_its_range_is_one_line_and_status_1(tmp_path, capsys):
-    assert "theta" in refused(capsys, "reconstruct", tmp_path / "cloud.ply", "--theta", "99")
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["reconstruct", "x.ply", "--min-sensor-distance", "99"], "--min-sensor-distance: 99 is not in 0 to 10"),
+        (["reconstruct", "x.ply", "--theta", "nan"], "--theta: nan is not in"),
+        (["localize", "x.log", "--max-range", "-1e-3"], "--max-range: -1e-3 is not in"),
+        (["localize", "x.log", "--min-range", "9", "--max-range", "5"], "--min-range must be smaller than --max-range"),
+        (
+            ["run", "x", "--localization.min-range", "9", "--localization.max-range", "5"],
+            "--localization.min-range must",
+        ),
+        (["run", "x", "--registration.laser-pose", "0", "0", "0", "0", "0", "inf"], "--registration.laser-pose"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value[0],
+)
+def test_an_option_out_of_its_range_is_bad_usage_that_names_it_as_typed(arguments, said, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_wrong_settings_file_is_one_line_and_status_1(tmp_path, capsys):
+    file = tmp_path / "config.yaml"
+    file.write_text("reconstruction:\n  theta: 99\n")
+    assert "theta" in refused(capsys, "run", tmp_path / "bag", "--config", file)
+
+
+def test_a_mounting_pose_may_be_given_with_negative_exponents():
+    options = build_parser().parse_args(
+        ["localize", "x.log", "--laser-pose", "0", "0", "-1.", "0", "-1.5e-1", "-.5E+0"]
+    )
+    assert vars(options)["localization.laser_pose"] == [0, 0, -1, 0, -0.15, -0.5]
+
+
+def write_cloud_text(path):
+    path.parent.mkdir(exist_ok=True)
+    np.savetxt(path, np.random.default_rng(0).random((500, 3)) * (2, 2, 0.01))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("command", "source", "output"),
+    [
+        ("reconstruct", "same.ply", "same.ply"),
+        ("reconstruct", "same.ply", "link.ply"),
+        ("reconstruct", "mesh_wire.ply", "mesh.ply"),
+        ("localize", "drive.log", "drive.log"),
+        ("import", "drive.log", "drive.log"),
+        ("import", "bag/drive.log", "bag"),
+    ],
+)
+def test_a_result_never_replaces_what_is_read(tmp_path, capsys, command, source, output):
+    file = tmp_path / source
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("precious")
+    (tmp_path / "link.ply").symlink_to(tmp_path / "same.ply")
+    force = ["--force"] if command == "import" else []
+    assert "would replace" in refused(capsys, command, file, "-o", tmp_path / output, *force)
+    assert file.read_text() == "precious"
+
+
+def test_a_result_never_replaces_a_file_of_the_bag_that_is_read(tmp_path, capsys):
+    data = tmp_path / "bag" / "bag.mcap"
+    data.parent.mkdir()
+    data.write_text("precious")
+    assert "would replace" in refused(capsys, "localize", tmp_path / "bag", "-o", data)
+
+
+def test_a_run_never_replaces_the_settings_that_it_reads(tmp_path, capsys):
+    settings = tmp_path / "config.yaml"
+    settings.write_text("reconstruction:\n  theta: 2.5\n")
+    said = refused(capsys, "run", bundled_recording(), "-o", tmp_path, "--config", settings)
+    assert "would replace" in said
+
+
+def test_a_result_never_replaces_a_folder(tmp_path, capsys):
+    (tmp_path / "mesh.ply").mkdir()
+    assert "is a folder" in refused(capsys, "reconstruct", tmp_path / "cloud.xyz", "-o", tmp_path / "mesh.ply")
+
+
+def test_what_is_no_bag_is_not_replaced_even_if_asked_and_before_the_work(tmp_path, capsys):
+    assert "is no bag" in refused(capsys, "import", "no.log", "-o", tmp_path, "--force")
+
+
+def test_results_that_would_replace_each_other_are_refused(tmp_path, capsys):
+    assert "two results" in refused(capsys, "localize", tmp_path / "drive.log", "-o", tmp_path / "way.png")
+
+
+@pytest.mark.parametrize("command", ["demo", "simulate"])
+def test_a_place_for_results_that_is_a_file_is_refused_before_the_work(tmp_path, capsys, command):
+    (tmp_path / "file").write_text("")
+    said = refused(capsys, command, "-o", tmp_path / "file" / "more")
+    assert "cannot be written" in said
+    assert "cannot be written" in refused(capsys, "demo", "-o", tmp_path / "file")
+
+
+def test_relations_that_cannot_be_read_are_refused_before_the_work(tmp_path, capsys):
+    said = refused(capsys, "localize", tmp_path / "no.log", "--relations", tmp_path / "no.relations")
+    assert "no.relations" in said
+
+
+@pytest.mark.parametrize("name", ["out[/x].ply", "out[red].ply", "o" * 150 + ".ply"])
+def test_the_path_of_a_result_is_shown_as_it_is(tmp_path, capsys, name):
+    cloud = write_cloud_text(tmp_path / "cloud.xyz")
+    assert main(["reconstruct", str(cloud), "-o", str(tmp_path / name)]) == 0
+    assert f"mesh: {tmp_path / name}\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "localize", "reconstruct", "import"])
+def test_a_link_to_itself_is_one_line_and_status_1(tmp_path, capsys, command):
+    (tmp_path / "loop.log").symlink_to(tmp_path / "loop.log")
+    assert "loop.log" in refused(
+        capsys, command, tmp_path / "loop.log", *["-o", tmp_path / "new"] * (command == "import")
+    )
+
+
+@pytest.mark.parametrize("command", ["run", "localize", "reconstruct"])
+def test_a_name_that_is_too_long_is_one_line_and_status_1(tmp_path, capsys, command):
+    refused(capsys, command, tmp_path / ("o" * 300 + ".log"))
+
+
+def test_a_cloud_that_gives_no_triangle_is_refused_with_advice(tmp_path, capsys):
+    cloud = write_cloud_text(tmp_path / "cloud.xyz")
+    assert "spacing" in refused(capsys, "reconstruct", cloud, "--spacing", "0.002", "--support-distance", "0.001")
 
 
 def test_an_unknown_kind_of_mesh_is_refused_before_the_work(tmp_path, capsys):

@@ -63,7 +63,17 @@ def test_an_empty_file_means_defaults(tmp_path):
         ("- a list\n", "settings"),
         ("a: b: c\n", "YAML"),
         ("1: 2\n", "settings"),
+        ("localization:\n  max_range: 2020-13-45\n", "month"),
+        ("localization:\n  max_range: " + "1" * 5000, "digits"),
+        ("localization:\n  laser_pose: 0x" + "f" * 5000, "laser_pose"),
+        ("[" * 20_000, "nested too deeply"),
+        ("localization:\n  max_range: 5\nlocalization:\n  max_range: 6\n", "'localization' is there twice"),
+        ("localization:\n  max_range: 5\n  max_range: 6\n", "'max_range' is there twice"),
+        ("localization: &a {max_range: 5}\nregistration:\n  <<: *a\n", "merge"),
+        ("localization:\n  laser_pose: [" + "x, " * 1000 + "x]\n", "and 996 more"),
+        ("x" * 10_000 + ": 1\n", "xxx"),
     ],
+    ids=lambda value: value[:30],
 )
 def test_a_wrong_file_is_refused_in_one_line_that_names_the_place(tmp_path, text, said):
     file = tmp_path / "config.yaml"
@@ -73,6 +83,29 @@ def test_a_wrong_file_is_refused_in_one_line_that_names_the_place(tmp_path, text
     assert said in str(error.value)
     assert str(file) in str(error.value)
     assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 1000
+
+
+def test_aliases_of_aliases_make_no_long_error(tmp_path):
+    lists = [f"a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 10)}]" for level in range(1, 12)]
+    file = tmp_path / "config.yaml"
+    file.write_text("\n".join(["a0: &a0 [lol]", *lists, "localization: {max_range: *a11, laser_pose: *a11}"]))
+    with pytest.raises(ConfigError) as error:
+        config.load(file)
+    assert len(str(error.value)) < 2000
+
+
+def test_a_section_without_a_body_keeps_its_defaults(tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text("localization:\n  # max_range: 5\nreconstruction:\n  theta: 2.5\n")
+    assert config.load(file).localization == LocalizationConfig()
+
+
+def test_an_unknown_section_without_a_body_is_refused(tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text("localisation:\n")
+    with pytest.raises(ConfigError, match="localisation"):
+        config.load(file)
 
 
 def test_a_missing_file_is_said(tmp_path):

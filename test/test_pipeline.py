@@ -75,6 +75,49 @@ def test_a_recording_without_vertical_scans_is_refused(simulation):
         pipeline.run(dataclasses.replace(simulation.recording, scans_vertical=[]), G2ReconConfig())
 
 
+def late(scan):
+    return dataclasses.replace(scan, stamp=scan.stamp + 1e6)
+
+
+def blind(scan):
+    return dataclasses.replace(scan, ranges=np.full_like(scan.ranges, np.nan))
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "said"),
+    [(late, "clocks of the two lasers"), (late, r"\(.*: \d+\)"), (blind, "no beam in range: ")],
+    ids=["clocks differ", "counts are said", "no beam returns"],
+)
+def test_vertical_scans_that_cannot_be_placed_are_refused_with_the_reasons(simulation, result, spoiled, said):
+    recording = dataclasses.replace(
+        simulation.recording, scans_vertical=[spoiled(scan) for scan in simulation.recording.scans_vertical]
+    )
+    with pytest.raises(InputError, match=said):
+        pipeline.register(recording, result.localization.trajectory, G2ReconConfig().registration)
+
+
+def test_horizontal_scans_without_a_return_are_refused(simulation):
+    recording = dataclasses.replace(
+        simulation.recording, scans=[blind(scan) for scan in simulation.recording.scans[:50]]
+    )
+    with pytest.raises(InputError, match="max_range"):
+        pipeline.localize(recording, LocalizationConfig())
+
+
+def test_a_trajectory_that_many_scans_do_not_fit_is_called_doubtful(simulation, caplog):
+    scans = simulation.recording.scans[:100]
+    recording = dataclasses.replace(simulation.recording, scans=scans[:80] + [blind(scan) for scan in scans[80:]])
+    assert pipeline.localize(recording, LocalizationConfig()).unmatched == 20
+    assert "20 of 100 scans did not match" in caplog.text
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
+def test_a_trajectory_that_the_scans_fit_is_not_called_doubtful(simulation, caplog):
+    recording = dataclasses.replace(simulation.recording, scans=simulation.recording.scans[:100])
+    pipeline.localize(recording, LocalizationConfig())
+    assert not caplog.records
+
+
 def test_a_laser_of_unknown_mounting_is_refused_rather_than_guessed(simulation):
     with pytest.raises(InputError, match=r"localization\.laser_pose"):
         pipeline.localize(dataclasses.replace(simulation.recording, T_base_laser=None), LocalizationConfig())

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import lzma
 import warnings
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +18,8 @@ from g2_recon.geometry import se2
 from g2_recon.geometry.trajectory import Trajectory
 
 _STAMP_TOLERANCE_S = 0.05
+_MAX_FAULT_LENGTH = 200
+_EXPECTED = "each line needs stamp1 stamp2 x y z roll pitch yaw"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,14 +44,18 @@ def read_relations(path: str | Path) -> NDArray[np.float64]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # an empty file: said below
             rows = np.loadtxt(path, ndmin=2)
+    except (EOFError, zlib.error, lzma.LZMAError) as error:
+        raise InputError(f"is packed and damaged: {error}", where=path, advice="download or pack it again") from error
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", where=path) from error
-    except ValueError as error:
-        raise InputError(f"is no relations file: {error}", where=path) from error
-    if rows.shape[1:] != (8,) or not np.isfinite(rows).all():
         raise InputError(
-            "is no relations file", where=path, advice="each line needs stamp1 stamp2 x y z roll pitch yaw"
-        )
+            f"cannot be read: {error.strerror or error}", where=path, advice="check the path and its permissions"
+        ) from error
+    except ValueError as error:
+        raise InputError(
+            f"is no relations file: {str(error)[:_MAX_FAULT_LENGTH]}", where=path, advice=_EXPECTED
+        ) from error
+    if rows.shape[1:] != (8,) or not np.isfinite(rows).all():
+        raise InputError("is no relations file", where=path, advice=_EXPECTED)
     return rows
 
 

@@ -22,7 +22,8 @@ from typing import Any
 
 from rosbags import rosbag1
 from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.interfaces import Connection, ConnectionExtRosbag1, QosDurability, QosReliability
+from rosbags.interfaces import Connection, ConnectionExtRosbag1, Nodetype, QosDurability, QosReliability
+from rosbags.rosbag1.reader import IndexData
 from rosbags.typesys import Stores, get_typestore
 
 from g2_recon.errors import InputError
@@ -32,6 +33,7 @@ BAG_ENDINGS = (".mcap", ".db3", ".bag")
 
 _log = logging.getLogger(__name__)
 
+_SAME_TYPES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _MAX_FAULT_LENGTH = 200
 _MAX_TOPICS_TOLD = 30
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -72,6 +74,7 @@ class OpenBag:
     path: Path
     reader: AnyReader
     complaints: list[str] = field(default_factory=list)
+    _is_as_expected: dict[str, bool] = field(default_factory=dict)
 
     @property
     def connections(self) -> list[Connection]:
@@ -101,15 +104,17 @@ class OpenBag:
             yield message
 
     def decode(self, raw: bytes, msgtype: str) -> Any | None:
-        """The message as an object with the fields of its type; None if its bytes are damaged."""
+        """The message as an object with the fields of its type; None if it is damaged or of another definition."""
         try:
-            return self.reader.deserialize(raw, msgtype)
+            if msgtype not in self._is_as_expected:
+                self._is_as_expected[msgtype] = _has_fields(self.reader.typestore, msgtype)
+            return self.reader.deserialize(raw, msgtype) if self._is_as_expected[msgtype] else None
         except Exception as error:
             _log.debug("%s: a %s cannot be decoded: %s", self.path, msgtype, _describe(error))
             return None
 
     def use_file_order(self) -> None:
-        """Read each topic of a ROS 1 bag in the order in which it was written.
+        """Read a ROS 1 bag in the order in which it was written.
 
         Some were converted from logs whose stamps step backwards: by time, which those bags took from the stamps,
         their messages are out of order.
@@ -117,7 +122,32 @@ class OpenBag:
         for reader in self.reader.readers:
             if isinstance(reader, rosbag1.Reader):
                 for index in reader.indexes.values():
-                    index.sort(key=lambda entry: (entry.chunk_pos, entry.offset))
+                    index[:] = sorted(_InFileOrder(*entry) for entry in index)
+
+
+def _has_fields(store: Any, msgtype: str) -> bool:
+    """True if a message type of a bag has the fields that it has in ROS 2 Jazzy; ROS 1 has more in some."""
+    stated = dict(store.fielddefs[msgtype][1])
+    for name, kind in jazzy_types().fielddefs[_SAME_TYPES.get(msgtype, msgtype)][1]:
+        if stated.get(name) != kind:
+            return False
+        item = kind[1][0] if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else kind
+        if item[0] == Nodetype.NAME and not _has_fields(store, item[1]):
+            return False
+    return True
+
+
+class _InFileOrder(IndexData):
+    """Where a message is in a ROS 1 bag; by this, instead of by time, rosbags then merges the topics."""
+
+    __slots__ = ()
+    __hash__ = IndexData.__hash__
+
+    def __lt__(self, other: tuple[int, ...]) -> bool:
+        return self[1:] < other[1:]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, tuple) and self[1:] == other[1:]
 
 
 @contextmanager

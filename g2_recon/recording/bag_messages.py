@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +18,9 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se3
 from g2_recon.geometry.recording import Recording
 from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.trajectory import Trajectory
+
+_log = logging.getLogger(__name__)
 
 TILT_JOINT = "laser_tilt_joint"
 """Name of the joint whose angle the JointState messages carry."""
@@ -32,7 +36,7 @@ _END_OF_TIME = 2**31
 
 @dataclass(frozen=True)
 class Series:
-    """The messages of one topic, and when each counts as received (N,), nanoseconds, never decreasing."""
+    """The messages of one topic, and when each counts as received (N,), nanoseconds, increasing."""
 
     topic: str
     msgtype: str
@@ -43,12 +47,20 @@ class Series:
 def all_series(recording: Recording, store: Any, *, where: object) -> list[Series]:
     """What there is of a recording as messages of a rosbags typestore, a series a topic, /tf_static first.
 
-    A message counts as received at its stamp, but never before the one in front of it: readers sort by this time, so
-    the order of a recording whose stamps step backwards is kept. Raises InputError, naming `where`, if there is
-    nothing, a stamp cannot be a ROS time, or two lasers with different mounting poses have the same frame.
+    A message counts as received at its stamp, but always after the one in front of it: readers sort by this time, so
+    the order of a recording whose stamps step backwards is kept. Odometry that belongs to the scans is written at
+    their stamps, each before its scan, so that they are paired again whatever the stamps do. Negative stamps, which
+    ROS does not have, shift all stamps by whole seconds.
+
+    Raises InputError, naming `where`, if there is nothing, a stamp cannot be a ROS time, or two lasers with different
+    mounting poses have the same frame.
     """
-    make = _Factory(store, where)
-    series = [
+    odometry = _odometry_to_write(recording)
+    make = _Factory(store, where, _shift_of_stamps(recording, odometry, where))
+    stamps = [make.nanoseconds(stamp) for stamp in odometry.stamps.tolist()]
+    rows = zip(stamps, odometry.positions.tolist(), odometry.quaternions.tolist(), strict=True)
+    series = [_series(_NAMES.odom_topic, _ODOMETRY, stamps, [make.odometry(*row) for row in rows])]
+    series += [
         _series(topic, _SCAN, [make.nanoseconds(scan.stamp) for scan in scans], [make.scan(scan) for scan in scans])
         for topic, scans in (
             (_NAMES.scan_topic, recording.scans),
@@ -60,10 +72,6 @@ def all_series(recording: Recording, store: Any, *, where: object) -> list[Serie
     angles = recording.tilt_angles.tolist()
     states = [make.joint_state(stamp, angle) for stamp, angle in zip(stamps, angles, strict=True)]
     series.append(_series(_NAMES.joint_topic, _JOINTS, stamps, states))
-    odometry = recording.odometry
-    stamps = [make.nanoseconds(stamp) for stamp in odometry.stamps.tolist()]
-    rows = zip(stamps, odometry.positions.tolist(), odometry.quaternions.tolist(), strict=True)
-    series.append(_series(_NAMES.odom_topic, _ODOMETRY, stamps, [make.odometry(*row) for row in rows]))
     series = [item for item in series if item.messages]
     if not series:
         raise InputError("the recording is empty, a bag of it would be too", where=where, advice="record something")
@@ -75,7 +83,30 @@ def all_series(recording: Recording, store: Any, *, where: object) -> list[Serie
 
 
 def _series(topic: str, msgtype: str, stamps: list[int], messages: list[Any]) -> Series:
-    return Series(f"/{topic}", msgtype, np.maximum.accumulate(np.array(stamps, np.int64)), messages)
+    place = np.arange(len(stamps))
+    received = np.maximum.accumulate(np.array(stamps, np.int64) - place) + place
+    return Series(f"/{topic}", msgtype, received, messages)
+
+
+def _odometry_to_write(recording: Recording) -> Trajectory:
+    """That of the scans where the recording has it, else that of the wheels."""
+    if recording.scan_odometry is None:
+        return recording.odometry
+    known = np.isfinite(recording.scan_odometry).all(axis=1)
+    if not known.any():
+        return recording.odometry
+    stamps = np.array([scan.stamp for scan in recording.scans])
+    return Trajectory.from_se2(stamps[known], recording.scan_odometry[known])
+
+
+def _shift_of_stamps(recording: Recording, odometry: Trajectory, where: object) -> int:
+    """Whole seconds that make all stamps 0 or later; said in the log unless 0."""
+    scans = recording.scans + recording.scans_vertical + recording.scans_tilt
+    stamps = np.concatenate([[scan.stamp for scan in scans], recording.tilt_stamps, odometry.stamps])
+    shift = math.ceil(-stamps[np.isfinite(stamps)].min(initial=0.0))
+    if shift:
+        _log.warning("%s: ROS has no stamps below 0: all stamps are shifted by %d s", where, shift)
+    return shift
 
 
 def _mounts(recording: Recording, where: object) -> dict[str, NDArray[np.float64]]:
@@ -102,22 +133,23 @@ def _mounts(recording: Recording, where: object) -> dict[str, NDArray[np.float64
 class _Factory:
     """Makes messages of one typestore; those of ROS 1 have a sequence number in their header."""
 
-    def __init__(self, store: Any, where: object) -> None:
+    def __init__(self, store: Any, where: object, shift_s: int) -> None:
+        self._shift_s = shift_s
         self._types = store.types
         self._where = where
         header_fields = [name for name, _ in store.fielddefs["std_msgs/msg/Header"][1]]
         self._header_extra = {"seq": 0} if "seq" in header_fields else {}
 
     def nanoseconds(self, stamp: float) -> int:
-        """A stamp in whole nanoseconds."""
-        if not 0 <= stamp < _END_OF_TIME:
+        """A stamp in whole nanoseconds, shifted."""
+        if not 0 <= stamp + self._shift_s < _END_OF_TIME:
             raise InputError(
                 f"the stamp {stamp!r} s cannot be a ROS time",
                 where=self._where,
-                advice="shift the stamps to 0 or later",
+                advice="ROS keeps seconds up to 2**31: correct the stamps of the recording",
             )
         seconds = math.floor(stamp)
-        return seconds * 10**9 + round((stamp - seconds) * 1e9)
+        return (seconds + self._shift_s) * 10**9 + round((stamp - seconds) * 1e9)
 
     def scan(self, scan: Scan) -> Any:
         """A LaserScan."""

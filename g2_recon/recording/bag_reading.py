@@ -17,7 +17,7 @@ from rosbags.interfaces import Connection
 
 from g2_recon.config import RecordingConfig
 from g2_recon.errors import InputError
-from g2_recon.geometry import se3, sick_lms
+from g2_recon.geometry import se2, se3, sick_lms
 from g2_recon.geometry.recording import Recording
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
@@ -33,6 +33,8 @@ _SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 _JOINTS = "sensor_msgs/msg/JointState"
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _PROGRESS_STEP = 1000
+_MAX_HOLD_S = 1.5
+"""How far a scan may be stamped from the odometry beside it; clocks that step backwards do so by up to a second."""
 
 _Mounts = dict[str, tuple[str, NDArray[np.float64]]]
 """Parent frame and T_parent_child by child frame."""
@@ -58,6 +60,8 @@ class _Found:
     """What the messages held so far."""
 
     scans: dict[str, list[Scan]] = field(default_factory=lambda: {"scan": [], "scan_vertical": [], "scan_tilt": []})
+    odometry_before: list[int] = field(default_factory=list)
+    """How many odometry messages came before each horizontal scan."""
     odometry: list[tuple[float, ...]] = field(default_factory=list)
     tilt: list[tuple[float, float]] = field(default_factory=list)
 
@@ -66,7 +70,8 @@ def read_bag(path: str | Path, config: RecordingConfig = _DEFAULTS, *, progress:
     """Read a rosbag2 directory, a single .mcap or .db3 file, or a ROS 1 .bag file.
 
     Stamps are those of the message headers. Messages come in the order in which they were received, those of a ROS 1
-    bag in file order. Ranges above `range_max` become +inf (REP-117); NaN, -inf and 0 stay. Mounting poses are those
+    bag in file order; where stamps of the horizontal scans or the odometry step backwards, `scan_odometry` pairs them
+    by this order. Ranges above `range_max` become +inf (REP-117); NaN, -inf and 0 stay. Mounting poses are those
     of /tf_static, or else the first ones of /tf, along the chain from `config.base_frame` to the frame of the first
     scan; that of the sweeping laser only of /tf_static, since /tf moves it.
 
@@ -143,7 +148,7 @@ def _read_messages(bag: OpenBag, topics: _Topics, drops: Counter[str], progress:
     takers: dict[tuple[str, str], Callable[[Any], None]] = {}
     for name, scans in found.scans.items():
         for connection in getattr(topics, name):
-            takers[connection.topic, _SCAN] = _ScanTaker(scans, connection.topic)
+            takers[connection.topic, _SCAN] = _ScanTaker(found, scans, connection.topic)
     for connection in topics.odometry:
         takers[connection.topic, _ODOMETRY] = lambda message: found.odometry.append(_odometry_row(message))
     for connection in topics.joints:
@@ -168,6 +173,7 @@ def _read_messages(bag: OpenBag, topics: _Topics, drops: Counter[str], progress:
 class _ScanTaker:
     """Adds the LaserScan messages of one topic to its scans, and says once if their beam spacing was put right."""
 
+    found: _Found
     scans: list[Scan]
     topic: str
     is_told: bool = False
@@ -184,6 +190,8 @@ class _ScanTaker:
                 np.degrees(scan.angle_increment),
             )
         self.scans.append(scan)
+        if self.scans is self.found.scans["scan"]:
+            self.found.odometry_before.append(len(self.found.odometry))
 
 
 def _to_scan(message: Any) -> Scan:
@@ -296,7 +304,8 @@ def _follow_chain(mounts: _Mounts, base: str, frame: str) -> NDArray[np.float64]
 
 
 def _assemble(found: _Found, mounts: dict[str, NDArray[np.float64] | None], drops: Counter[str]) -> Recording:
-    odometry = _to_trajectory(found.odometry, drops)
+    odometry, is_sound = _to_trajectory(found.odometry, drops)
+    odometry_before = np.append(0, is_sound.cumsum())[np.array(found.odometry_before, int)]
     tilt = np.array(found.tilt, float).reshape(-1, 2)
     stamps = {name: np.array([scan.stamp for scan in scans]) for name, scans in found.scans.items()}
     stamps |= {"odometry": odometry.stamps, "joint state": tilt[:, 0]}
@@ -304,10 +313,12 @@ def _assemble(found: _Found, mounts: dict[str, NDArray[np.float64] | None], drop
         backwards = int((np.diff(of_series) < 0).sum())
         if backwards:
             drops[f"{name} messages stamped earlier than the one before (kept, in their order)"] = backwards
+    steps_back = any((np.diff(stamps[name]) < 0).any() for name in ("scan", "odometry"))
     return Recording(
         scans=found.scans["scan"],
         scans_vertical=found.scans["scan_vertical"],
         odometry=odometry,
+        scan_odometry=_pair_by_arrival(odometry, stamps["scan"], odometry_before) if steps_back else None,
         scans_tilt=found.scans["scan_tilt"],
         tilt_stamps=tilt[:, 0].copy(),
         tilt_angles=tilt[:, 1].copy(),
@@ -318,11 +329,36 @@ def _assemble(found: _Found, mounts: dict[str, NDArray[np.float64] | None], drop
     )
 
 
-def _to_trajectory(rows: list[tuple[float, ...]], drops: Counter[str]) -> Trajectory:
+def _pair_by_arrival(
+    odometry: Trajectory, stamps: NDArray[np.float64], odometry_before: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Odometry (N, 3) x, y, yaw at scans (N,) between the messages that arrived just before and just after each.
+
+    For stamps that step backwards: sorted by time, messages of different moments would stand side by side. A scan
+    that is not stamped between the two has the nearer of them, or NaN if both are too far away.
+    """
+    if len(odometry) == 0:
+        return np.full((len(stamps), 3), np.nan)
+    poses = odometry.planar()
+    before, after = np.maximum(odometry_before - 1, 0), np.minimum(odometry_before, len(odometry) - 1)
+    since, until = stamps - odometry.stamps[before], odometry.stamps[after] - stamps
+    span = since + until
+    share = np.clip(np.divide(since, span, out=np.zeros_like(span), where=span > 0), 0, 1)
+    step = poses[after] - poses[before]
+    step[:, 2] = se2.wrap_angle(step[:, 2])
+    result = poses[before] + share[:, None] * step
+    result[:, 2] = se2.wrap_angle(result[:, 2])
+    is_between = (since >= 0) & (until >= 0)
+    result[~is_between & (np.minimum(abs(since), abs(until)) > _MAX_HOLD_S)] = np.nan
+    return result
+
+
+def _to_trajectory(rows: list[tuple[float, ...]], drops: Counter[str]) -> tuple[Trajectory, NDArray[np.bool_]]:
+    """The poses of sound odometry messages, and which of the messages those are."""
     table: NDArray[np.float64] = np.array(rows, float).reshape(-1, 8)
     good = sound_poses(table[:, 1:4], table[:, 4:])
     if not good.all():
         drops["odometry messages whose pose is not finite or no rotation"] += int((~good).sum())
     table = table[good]
     lengths = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:] / lengths)
+    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:] / lengths), good

@@ -35,7 +35,8 @@ def write_bag(
 
     Topics are those of RecordingConfig's defaults; mounting poses go to /tf_static, from base_link to the frames of
     the scans. `description` is kept as the custom data of the metadata. Ranges are kept exactly, stamps to the
-    nanosecond, angles as float32; `scan_odometry` and `drops` have no place in a bag.
+    nanosecond, angles as float32. Odometry is `scan_odometry` at the stamps of the scans, or `odometry` without it;
+    `drops` have no place in a bag. Negative stamps shift all stamps by whole seconds, with a warning in the log.
 
     Raises InputError if `path` exists (with `overwrite`: is something else than a bag), the recording is empty, a
     stamp cannot be a ROS time, lasers with different mounting poses have the same frame, or it cannot be written.
@@ -71,9 +72,9 @@ def write_ros1_bag(path: str | Path, recording: Recording, *, overwrite: bool = 
     # rosbags has no tf2_msgs among the types of Noetic.
     store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
     series = all_series(recording, store, where=path)
-    if Path(path).exists() and not overwrite:
-        raise _exists(path)
     with atomic_write(path) as temporary:
+        if Path(path).exists() and not overwrite:
+            raise _exists(path)
         writer = rosbag1.Writer(temporary)
         writer.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
         with writer:
@@ -93,11 +94,11 @@ def _fresh_directory(target: Path, *, overwrite: bool) -> Iterator[Path]:
 
     The name has to be the same because rosbags names the file in the directory after it.
     """
-    if target.exists() and not overwrite:
-        raise _exists(target)
-    if target.exists() and not (target / "metadata.yaml").is_file():
-        raise InputError("exists and is no bag", where=target, advice="choose another name or remove it")
     try:
+        if target.exists() and not overwrite:
+            raise _exists(target)
+        if target.exists() and not (target / "metadata.yaml").is_file():
+            raise InputError("exists and is no bag", where=target, advice="choose another name or remove it")
         target.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as scratch:
             made = Path(scratch) / target.name

@@ -24,6 +24,7 @@ from g2_recon.recording.ply import parse_ply, write_ply
 
 _NAMES = ("x", "y", "z", "vx", "vy", "vz")
 _COMMENTS = ("#", "//")
+_MAX_FAULT_LENGTH = 200
 _MAX_DEFLATE_RATIO = 1100
 """Deflate packs at most 1032 to 1: a member of an NPZ file that claims more is damaged or hostile."""
 
@@ -86,7 +87,9 @@ def _parse_text(content: bytes) -> Cloud:
                 lines[comments:], ndmin=2, comments=_COMMENTS, delimiter=delimiter, usecols=columns or [0, 1, 2]
             )
     except ValueError as error:
-        raise InputError(f"is no table of points: {error}", advice="expected lines of x y z") from None
+        raise InputError(
+            f"is no table of points: {str(error)[:_MAX_FAULT_LENGTH]}", advice="expected lines of x y z"
+        ) from None
     if len(table) == 0:
         raise InputError("holds no point", advice="expected lines of x y z")
     return Cloud(table[:, :3].copy(), table[:, 3:].copy() if table.shape[1] == 6 else None)
@@ -131,7 +134,7 @@ def _parse_npz(content: bytes) -> Cloud:
             points = _npz_array(archive, "points.npy")
             sensor = _npz_array(archive, "sensor.npy") if "sensor.npy" in members else None
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, NotImplementedError, RuntimeError) as error:
-        raise InputError(f"is no sound NPZ file: {error}", advice=CUT_SHORT) from None
+        raise InputError(f"is no sound NPZ file: {str(error)[:_MAX_FAULT_LENGTH]}", advice=CUT_SHORT) from None
     return Cloud(points, sensor)
 
 
@@ -146,7 +149,8 @@ def _npz_array(archive: zipfile.ZipFile, member: str) -> NDArray[np.float64]:
         shape, fortran_order, kind = read_header(stream)
         if kind.kind not in "fiu" or len(shape) != 2 or shape[1] != 3:
             raise InputError(
-                f"{member} is {kind} {shape}, not real numbers (N, 3)", advice="export it as float64 (N, 3)"
+                f"{member} is {f'{kind} {shape}'[:_MAX_FAULT_LENGTH]}, not real numbers (N, 3)",
+                advice="export it as float64 (N, 3)",
             )
         size = math.prod(shape) * kind.itemsize
         if size > entry.file_size:

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes in and out, by trimesh; coordinates stay in the map frame, metres, z up, in every kind of file."""
+"""Meshes in and out, mostly by trimesh; coordinates stay in the map frame, metres, z up, in every kind of file."""
 
 from __future__ import annotations
 
+import logging
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -17,22 +18,33 @@ from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.recording.files import atomic_write, read_bytes
 from g2_recon.recording.ply import ply_header
 
+_log = logging.getLogger(__name__)
+
 MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
+
+_FLOAT_ENDINGS = ("stl", "glb")
+_FLOAT_LIMIT = 1e4
+"""Metres; above, neighboring float32 numbers are a millimetre apart."""
+
+_COORDINATES = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
 
 
 def write_mesh(path: str | Path, mesh: Mesh) -> None:
     """Write triangles; the ending says how: .ply, .obj, .stl or .glb.
 
-    A PLY file also has the submap of each face, as the face property `submap`. Raises InputError if the ending is
-    not known, a face names a vertex that is not there, or the file cannot be written.
+    A PLY file has double coordinates and also the submap of each face, as the face property `submap`. STL and GLB
+    files have float coordinates; a warning in the log says so where that is coarser than a millimetre. Raises
+    InputError if the ending is not known, a face names a vertex that is not there, or the file cannot be written.
     """
     ending = _ending(path)
     if len(mesh.faces) and not (mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)):
         raise InputError("a face names a vertex that is not there", where=path, advice="this mesh is broken")
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    if ending in _FLOAT_ENDINGS and np.abs(mesh.vertices).max(initial=0.0) > _FLOAT_LIMIT:
+        _log.warning("%s: coordinates above %g m lose millimetres in this kind of file; use .ply", path, _FLOAT_LIMIT)
     if ending == "ply":
-        solid.face_attributes["submap"] = mesh.submap.astype(np.int32)
-    content: Any = solid.export(file_type=ending)
+        content: Any = _ply_of_mesh(mesh)
+    else:
+        content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type=ending)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
@@ -45,7 +57,7 @@ def write_wire_mesh(path: str | Path, wire: WireMesh) -> None:
     """
     if _ending(path) != "ply":
         raise InputError("a wire mesh is written as PLY", where=path, advice="use the ending .ply")
-    vertices = np.empty(len(wire.vertices), [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("submap", "<i4")])
+    vertices = np.empty(len(wire.vertices), [*_COORDINATES, ("submap", "<i4")])
     vertices["x"], vertices["y"], vertices["z"] = wire.vertices.T
     vertices["submap"] = wire.submap
     edges = np.empty(len(wire.edges), [("vertex1", "<i4"), ("vertex2", "<i4")])
@@ -75,6 +87,16 @@ def read_mesh(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError("a face names a vertex that is not there", where=path, advice="the file is damaged")
     return vertices, faces
+
+
+def _ply_of_mesh(mesh: Mesh) -> bytes:
+    """A binary PLY file; trimesh would write coordinates as float, which is half a metre in UTM coordinates."""
+    vertices = np.empty(len(mesh.vertices), _COORDINATES)
+    vertices["x"], vertices["y"], vertices["z"] = mesh.vertices.T
+    faces = np.empty(len(mesh.faces), [("corners", "u1"), ("vertex_indices", "<i4", 3), ("submap", "<i4")])
+    faces["corners"], faces["vertex_indices"], faces["submap"] = 3, mesh.faces, mesh.submap
+    header = ply_header([("vertex", vertices), ("face", faces)], {"corners": "vertex_indices"})
+    return header + vertices.tobytes() + faces.tobytes()
 
 
 def _ending(path: str | Path) -> str:

@@ -27,6 +27,7 @@ from g2_recon.recording.cloud_tables import (
 
 _log = logging.getLogger(__name__)
 
+_MAX_POINT_BYTES = 1 << 20
 _TYPES = {
     **{("F", size): f"<f{size}" for size in (4, 8)},
     **{("I", size): f"<i{size}" for size in (1, 2, 4, 8)},
@@ -99,6 +100,9 @@ def _parse_fields(header: dict[str, list[str]]) -> list[_Field]:
         if code is None:
             raise InputError(f"field {name[:40]!r} has unknown type {kind[:10]} {size}", advice="use F, I or U")
         fields.append(_Field(name, code, stated_count(count, "a COUNT")))
+    point_bytes = sum(field.size for field in fields)
+    if point_bytes > _MAX_POINT_BYTES:
+        raise InputError(f"states points of {point_bytes} bytes each", advice="the header is damaged")
     for name in ("x", "y", "z"):
         if [field.count for field in fields if field.name == name] != [1]:
             raise InputError(f"needs one field {name} with one number", advice="export points with coordinates")

@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,7 @@ _TYPES = {
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
+_NO_LISTS: Mapping[str, str] = MappingProxyType({})
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -64,13 +67,21 @@ def write_ply(path: Path, cloud: Cloud) -> None:
     path.write_bytes(ply_header([("vertex", table)]) + table.tobytes())
 
 
-def ply_header(elements: list[tuple[str, NDArray[Any]]]) -> bytes:
-    """The header of a binary little-endian PLY file whose elements are structured arrays (N,)."""
+def ply_header(elements: list[tuple[str, NDArray[Any]]], lists: Mapping[str, str] = _NO_LISTS) -> bytes:
+    """The header of a binary little-endian PLY file whose elements are structured arrays (N,).
+
+    lists: by the column that counts the items of a list, the column that comes next and holds them.
+    """
     names = {np.dtype(code): name for name, code in _TYPES.items() if not name[-1].isdigit()}
     lines = ["ply", "format binary_little_endian 1.0"]
     for element, table in elements:
         lines.append(f"element {element} {len(table)}")
-        lines += [f"property {names[table.dtype[name]]} {name}" for name in table.dtype.names or ()]
+        for name in table.dtype.names or ():
+            kind = names[table.dtype[name].base]
+            if name in lists:
+                kind = f"list {kind} {names[table.dtype[lists[name]].base]}"
+            if name not in lists.values():
+                lines.append(f"property {kind} {lists.get(name, name)}")
     return "\n".join([*lines, "end_header\n"]).encode("ascii")
 
 

@@ -1,5 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
+import bz2
+import gzip
+import lzma
+
 import numpy as np
 import pytest
 
@@ -67,6 +71,39 @@ def test_a_file_without_relations_is_refused(tmp_path, text):
     file.write_text(text)
     with pytest.raises(InputError, match=r"some\.relations"):
         read_relations(file)
+
+
+PACKERS = {"gz": gzip.compress, "bz2": bz2.compress, "xz": lzma.compress}
+
+
+def packed_relations(ending):
+    rows = "\n".join(" ".join(map(str, row)) for row in np.random.default_rng(0).normal(size=(200, 8)))
+    return PACKERS[ending](rows.encode())
+
+
+@pytest.mark.parametrize("ending", PACKERS)
+def test_a_packed_file_is_read(tmp_path, ending):
+    file = tmp_path / f"some.relations.{ending}"
+    file.write_bytes(packed_relations(ending))
+    assert read_relations(file).shape == (200, 8)
+
+
+@pytest.mark.parametrize("ending", PACKERS)
+def test_a_cut_packed_file_is_said_with_advice(tmp_path, ending):
+    file = tmp_path / f"some.relations.{ending}"
+    file.write_bytes(packed_relations(ending)[:9000])
+    with pytest.raises(InputError, match=r"some\.relations.*damaged.*again"):
+        read_relations(file)
+
+
+@pytest.mark.parametrize("ending", PACKERS)
+def test_a_packed_file_with_changed_bytes_is_refused(tmp_path, ending):
+    file = tmp_path / f"some.relations.{ending}"
+    packed = packed_relations(ending)
+    for start in range(0, len(packed), 997):
+        file.write_bytes(packed[:start] + bytes(99) + packed[start + 99 :])
+        with pytest.raises(InputError, match=r"some\.relations"):
+            read_relations(file)
 
 
 def test_a_missing_relations_file_is_said(tmp_path):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from rosbags import rosbag2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from g2_recon.config import RecordingConfig
 from g2_recon.errors import InputError
@@ -112,6 +112,23 @@ def test_steps_back_in_time_keep_their_order_and_are_counted(bag_path: Path) -> 
     assert read.drops == {"scan messages stamped earlier than the one before (kept, in their order)": 1}
 
 
+def test_the_odometry_of_scans_comes_back_though_their_stamps_step_back(bag_path: Path) -> None:
+    stamps = [5.0, 4.0, 4.5, 4.5, 6.0, 5.5]
+    poses = np.random.default_rng(0).uniform(-3, 3, (6, 3))
+    wheels = Trajectory.from_se2([3.0, 7.0], np.zeros((2, 3)))
+    recording = Recording(scans=[_scan(stamp) for stamp in stamps], odometry=wheels, scan_odometry=poses)
+    read = read_bag(_write(bag_path, recording)).scan_odometry
+    np.testing.assert_allclose(read, poses, atol=1e-12)
+
+
+def test_the_odometry_of_scans_stays_exact_where_stamps_ascend(bag_path: Path) -> None:
+    poses = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]])
+    recording = Recording(scans=[_scan(stamp) for stamp in (1.0, 2.0, 3.0)], scan_odometry=poses)
+    read = read_bag(_write(bag_path, recording))
+    assert read.scan_odometry is None
+    np.testing.assert_allclose(read.odometry.planar(), poses, atol=1e-12)
+
+
 def test_messages_come_in_time_order(bag_path: Path) -> None:
     stamps = [message.stamp_ns for message in messages(_write(bag_path, _recording()))]
     assert (len(stamps), stamps) == (101, sorted(stamps))
@@ -172,12 +189,24 @@ def test_a_bag_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["file"]
 
 
+def test_a_name_that_is_too_long_is_told(bag_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be written"):
+        _write(bag_path.with_name("x" * 300 + bag_path.suffix), _recording())
+
+
 def test_an_empty_recording_is_not_written(bag_path: Path) -> None:
     with pytest.raises(InputError, match="empty"):
         _write(bag_path, Recording())
 
 
-@pytest.mark.parametrize("stamp", [-1.0, 2.0**31])
+def test_negative_stamps_shift_all_stamps_by_whole_seconds(bag_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    odometry = Trajectory.from_se2([-1.5, 2.25], np.zeros((2, 3)))
+    read = read_bag(_write(bag_path, Recording(scans=[_scan(-0.25), _scan(2.0)], odometry=odometry)))
+    assert ([scan.stamp for scan in read.scans], read.odometry.stamps.tolist()) == ([1.75, 4.0], [0.5, 4.25])
+    assert "shifted by 2 s" in caplog.text
+
+
+@pytest.mark.parametrize("stamp", [2.0**31])
 def test_a_stamp_that_is_no_ros_time_is_not_written(bag_path: Path, stamp: float) -> None:
     with pytest.raises(InputError, match="cannot be a ROS time"):
         _write(bag_path, Recording(scans=[_scan(stamp)]))
@@ -465,3 +494,44 @@ def test_a_published_ros_1_bag_is_read_in_file_order(name: str, scans: int, step
         pytest.skip(f"{file} is not here")
     stamps = np.array([scan.stamp for scan in read_bag(file).scans])
     assert (len(stamps), int((np.diff(stamps) < 0).sum())) == (scans, steps_back)
+
+
+def _odometry_of_scans(tmp_path: Path, *arrivals: tuple[str, float]) -> list[float]:
+    """x at each scan of a bag with these messages; odometry drives 1 m from one message to the next."""
+    with _Bag(tmp_path / "bag") as bag:
+        x = 0.0
+        for kind, stamp in arrivals:
+            message = _laser_scan() if kind == "scan" else _odometry(x := x + 1.0)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(stamp * 10**9), 10**9)
+            bag.add(f"/{kind}", message)
+    scan_odometry = read_bag(tmp_path / "bag").scan_odometry
+    assert scan_odometry is not None
+    return np.round(scan_odometry[:, 0], 9).tolist()
+
+
+@pytest.mark.parametrize(("line", "changed"), [("float32 range_max\n", ""), ("float32 range_max", "string range_max")])
+def test_messages_of_a_type_that_the_bag_defines_otherwise_are_counted(tmp_path: Path, line: str, changed: str) -> None:
+    definition = STORE.generate_msgdef("sensor_msgs/msg/LaserScan")[0].partition("=" * 80)[0]
+    assert line in definition
+    store = get_typestore(Stores.ROS2_JAZZY)
+    del store.fielddefs["sensor_msgs/msg/LaserScan"], store.types["sensor_msgs/msg/LaserScan"]
+    store.register(get_types_from_msg(definition.replace(line, changed), "sensor_msgs/msg/LaserScan"))
+    with rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=store)
+        writer.write(connection, 1, STORE.serialize_cdr(_laser_scan(), "sensor_msgs/msg/LaserScan"))
+    with pytest.raises(InputError, match="1 LaserScan messages that cannot be decoded"):
+        read_bag(tmp_path / "bag")
+
+
+def test_a_scan_gets_the_odometry_around_it_though_later_odometry_has_its_stamp_too(tmp_path: Path) -> None:
+    arrivals = [("odom", 1.0), ("scan", 1.5), ("odom", 2.0), ("odom", 1.4), ("scan", 1.5), ("odom", 1.6)]
+    assert _odometry_of_scans(tmp_path, *arrivals) == [1.5, 3.5]
+
+
+def test_a_scan_where_the_stamps_step_back_gets_the_odometry_before_it(tmp_path: Path) -> None:
+    assert _odometry_of_scans(tmp_path, ("odom", 1.0), ("odom", 2.0), ("scan", 2.1), ("odom", 1.4)) == [2.0]
+
+
+def test_odometry_long_before_a_scan_is_not_taken_for_it(tmp_path: Path) -> None:
+    known = _odometry_of_scans(tmp_path, ("odom", 2.0), ("odom", 1.0), ("scan", 1.0), ("scan", 9.0))
+    np.testing.assert_array_equal(known, [2.0, np.nan])

@@ -276,3 +276,19 @@ def test_a_real_packed_sweep_is_read(name: str, count: int) -> None:
     cloud = read_cloud(file)
     near = np.linalg.norm(cloud.points, axis=1) < 0.15
     assert (len(cloud), round(float(near.mean()), 3)) == (count, 0.157)  # share of the robot itself, as published
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary", "binary_compressed"])
+@pytest.mark.parametrize("rows", [0, 4])
+def test_a_pcd_that_claims_points_larger_than_any_is_told(tmp_path: Path, kind: str, rows: int) -> None:
+    header = PCD_HEADER.format(kind=kind, viewpoint="0 0 0").replace("COUNT 1 1 1 1 3", "COUNT 1 1 1 1 86027267201")
+    header = header.replace("HEIGHT 2", f"HEIGHT {rows // 2}").replace("POINTS 4", f"POINTS {rows}")
+    with pytest.raises(InputError, match="86027267221 bytes each"):
+        _read(tmp_path, "c.pcd", header.encode() + PCD_ROWS.tobytes())
+
+
+def test_a_fault_of_an_npz_file_is_told_in_few_words(tmp_path: Path) -> None:
+    np.savez(tmp_path / "c.npz", points=np.zeros(3, [(f"column_{index}", "f8") for index in range(300)]))
+    with pytest.raises(InputError) as caught:
+        read_cloud(tmp_path / "c.npz")
+    assert len(str(caught.value).removeprefix(str(tmp_path))) < 400

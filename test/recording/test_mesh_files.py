@@ -40,6 +40,41 @@ def test_a_closed_surface_stays_closed(tmp_path: Path, ending: str) -> None:
     assert trimesh.Trimesh(vertices, faces, process=False).is_watertight
 
 
+def test_a_ply_keeps_double_coordinates(tmp_path: Path) -> None:
+    far = TETRAHEDRON.vertices * 0.0123456789 + (448_262.1, 5_411_932.7, 120.0)
+    write_mesh(tmp_path / "m.ply", Mesh(far, TETRAHEDRON.faces, TETRAHEDRON.submap))
+    np.testing.assert_array_equal(read_mesh(tmp_path / "m.ply")[0], far)
+
+
+@pytest.mark.parametrize(("ending", "is_told"), [(".stl", True), (".glb", True), (".ply", False), (".obj", False)])
+def test_coordinates_that_a_float_cannot_hold_are_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, ending: str, is_told: bool
+) -> None:
+    write_mesh(tmp_path / f"m{ending}", Mesh(TETRAHEDRON.vertices + 5e6, TETRAHEDRON.faces, TETRAHEDRON.submap))
+    assert ("lose millimetres" in caplog.text) == is_told
+
+
+def test_the_header_of_a_ply_is_as_other_readers_expect(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    assert (tmp_path / "m.ply").read_bytes().split(b"end_header")[0].decode().splitlines()[2:] == [
+        "element vertex 4",
+        *(f"property double {axis}" for axis in "xyz"),
+        "element face 4",
+        "property list uchar int vertex_indices",
+        "property int submap",
+    ]
+
+
+def test_the_vertices_of_a_mesh_are_a_cloud(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "m.ply").points, TETRAHEDRON.vertices)
+
+
+def test_a_mesh_without_faces_is_written(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.ply", Mesh(np.empty((0, 3)), np.empty((0, 3), int), np.empty(0, int)))
+    assert b"element face 0" in (tmp_path / "m.ply").read_bytes()
+
+
 def test_a_ply_keeps_the_submap_of_each_face(tmp_path: Path) -> None:
     write_mesh(tmp_path / "m.ply", TETRAHEDRON)
     raw = trimesh.load_mesh(tmp_path / "m.ply", process=False).metadata["_ply_raw"]
