@@ -41,12 +41,16 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Localization:
-    """trajectory: T_map_base of each horizontal scan. point_map: (N, 2). keyframes, unmatched: how many scans."""
+    """trajectory: T_map_base of each horizontal scan. point_map: (N, 2). keyframes, unmatched: how many scans.
+
+    odometry_jumps: between how many scans odometry was not believed.
+    """
 
     trajectory: Trajectory
     point_map: Float
     keyframes: int
     unmatched: int
+    odometry_jumps: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +108,9 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
             localizer.unmatched,
             len(recording.scans),
         )
-    return Localization(localizer.trajectory(), localizer.point_map(), keyframes, localizer.unmatched)
+    return Localization(
+        localizer.trajectory(), localizer.point_map(), keyframes, localizer.unmatched, localizer.odometry_jumps
+    )
 
 
 def odometry_at_scans(recording: Recording) -> Float:
@@ -193,6 +199,7 @@ def summarize(result: Run) -> dict[str, Any]:
         "version": __version__,
         "scans": len(result.localization.trajectory),
         "unmatched_scans": result.localization.unmatched,
+        "odometry_jumps": result.localization.odometry_jumps,
         "path_length_m": round(result.localization.trajectory.length(), 3),
         "vertical_scans": result.registration.scans,
         "points": result.reconstruction.points,
