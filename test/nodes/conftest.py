@@ -19,7 +19,7 @@ import pytest
 try:
     import rclpy
     from builtin_interfaces.msg import Time
-    from rclpy.executors import MultiThreadedExecutor
+    from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
     from sensor_msgs.msg import LaserScan
     from std_msgs.msg import Header
 except ImportError:
@@ -32,28 +32,28 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
 class Ros:
-    """Nodes of one test on one executor in a thread of its own, and an observer that talks to them."""
+    """The nodes of one test, each on an executor and a thread of its own, and an observer that talks to them."""
 
     def __init__(self, *arguments: str) -> None:
         rclpy.init(args=["test", *(("--ros-args", *arguments) if arguments else ())])
-        self._nodes: list[Any] = []
-        self._executor = MultiThreadedExecutor(4)
+        self._running: list[tuple[Any, Any, threading.Thread]] = []
         self.observer = self.add(lambda: rclpy.create_node("observer", use_global_arguments=False))
-        self._thread = threading.Thread(target=self._executor.spin)
-        self._thread.start()
 
     def close(self) -> None:
-        self._executor.shutdown()
-        self._thread.join(10)
-        for node in self._nodes:
+        for node, executor, thread in self._running:
+            executor.shutdown()
+            thread.join(10)
             node.destroy_node()
         rclpy.shutdown()
 
-    def add(self, create: Callable[[], Any]) -> Any:
+    def add(self, create: Callable[[], Any], *, threads: int = 1) -> Any:
         """Create a node and let it run."""
         node = create()
-        self._nodes.append(node)
-        self._executor.add_node(node)
+        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+        executor.add_node(node)
+        thread = threading.Thread(target=executor.spin)
+        self._running.append((node, executor, thread))
+        thread.start()
         return node
 
     def collect(self, kind: type, topic: str, qos: Any = 1000) -> list[Any]:

@@ -41,7 +41,7 @@ def node(ros):
 
     def start(*arguments):
         harness = ros(*SMALL, *arguments)
-        harness.add(ReconstructNode)
+        harness.add(ReconstructNode, threads=4)
         harness.diagnostics = harness.collect(DiagnosticArray, "/diagnostics")
 
         def send(cloud, frame="map", topic="cloud"):

@@ -101,6 +101,8 @@ def test_an_empty_trajectory_makes_it_forget_the_poses_of_the_old_map(drive):
     robot = drive()
     robot.pose(99.9)
     robot.pose(100.3)
+    # Messages of two topics overtake each other.
+    robot.wait_until(lambda: value(robot.diagnostics, "received pose") == "2")
     robot.publisher(Path, "trajectory", LATCHED).publish(Path())
     robot.wait_until(lambda: value(robot.diagnostics, "received trajectory") == "1")
     robot.scan(100.1)
