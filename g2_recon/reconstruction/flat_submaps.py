@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from g2_recon.progress import Progress, silent
+from g2_recon.reconstruction.som import best_matching_units
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -167,7 +168,6 @@ def _train_batch(points, weights, neurons, rows, columns, epochs, width_end):  #
     neurons (n, 3) are changed in place. Returns the best matching unit of each point and the points of each neuron.
     """
     count = rows * columns
-    bmu = np.zeros(len(points), np.int64)
     sums, by_rows = np.empty((count, 4)), np.empty((count, 4))
     kernel = np.empty(max(rows, columns))
     width_start = max(max(rows, columns) / 2.0, width_end)
@@ -175,7 +175,7 @@ def _train_batch(points, weights, neurons, rows, columns, epochs, width_end):  #
         width = width_start * (width_end / width_start) ** (epoch / max(epochs - 1, 1))
         for d in range(len(kernel)):
             kernel[d] = np.exp(-0.5 * (d / width) ** 2)
-        _nearest(points, neurons, bmu)
+        bmu = best_matching_units(points, neurons)
         sums[:] = 0.0
         for i in range(len(points)):
             m, w = bmu[i], weights[i]
@@ -205,28 +205,11 @@ def _train_batch(points, weights, neurons, rows, columns, epochs, width_end):  #
                 if total > 1e-9:
                     j = r * columns + c
                     neurons[j, 0], neurons[j, 1], neurons[j, 2] = x / total, y / total, z / total
-    _nearest(points, neurons, bmu)
+    bmu = best_matching_units(points, neurons)
     hits = np.zeros(count, np.int64)
     for i in range(len(points)):
         hits[bmu[i]] += 1
     return bmu, hits
-
-
-@numba.njit(cache=True, nogil=True, fastmath=True)
-def _nearest(points, neurons, bmu):  # type: ignore[no-untyped-def]
-    columns = np.ascontiguousarray(neurons.T)
-    count = columns.shape[1]
-    distance = np.empty(count)
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        for j in range(count):
-            dx, dy, dz = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
-            distance[j] = dx * dx + dy * dy + dz * dz
-        nearest = 0
-        for j in range(1, count):
-            if distance[j] < distance[nearest]:
-                nearest = j
-        bmu[i] = nearest
 
 
 def _surface_at_neurons(
