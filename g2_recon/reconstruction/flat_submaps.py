@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""Submaps of flat clusters: a lattice fitted to the cluster's rectangle, trained in batches, laid onto its plane."""
+"""Submaps of flat clusters: a lattice fitted to the cluster's rectangle, trained in batches, laid onto its surface."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from g2_recon.progress import Progress, silent
+from g2_recon.reconstruction.bends import fit_bend
 from g2_recon.reconstruction.som import best_matching_units
 
 Float = NDArray[np.float64]
@@ -23,9 +24,9 @@ Int = NDArray[np.int64]
 _WIDTH_END = 0.35
 # Of the extent of a cluster along each side of its rectangle, the share that stray points may have beyond it.
 _STRAY = 0.01
-# A cluster thinner than this many sigmas of noise is a plane; its neurons are laid onto it.
-_FLAT_SIGMAS = 1.35
-_FLAT_FLOOR_M = 0.002
+# What is thinner than this many sigmas of noise, or than this share of the spacing, is explained by its plane or bend.
+_THIN_NOISE = 1.35
+_THIN_SPACING = 0.01
 # The elements of a symmetric matrix.
 _PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
 
@@ -36,7 +37,8 @@ class FlatSubmaps:
 
     vertices: (V, 3) neurons on the surface, m. normals: (V, 3) of the surface there. center: (V, 3) a point on the
     tangent plane of each neuron. submap: (V,). faces: (F, 3) triangles of all cells, counterclockwise seen from the
-    free side. hits: (V,) how many points each neuron has. flat: (K,) whether a submap is a plane.
+    free side. hits: (V,) how many points each neuron has. flat: (K,) whether a submap is a plane. bmu: (N,) the neuron
+    of each point.
     """
 
     vertices: Float
@@ -70,9 +72,9 @@ def train_submaps(
     """
     order = np.argsort(label, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(label, minlength=len(plane_center)))[:-1])
-    flat = thickness < max(_FLAT_FLOOR_M, _FLAT_SIGMAS * noise)
+    thin = max(_THIN_SPACING * spacing, _THIN_NOISE * noise)
 
-    def train(number: int) -> tuple[Float, Float, Float, Int, Int, Int]:
+    def train(number: int) -> tuple[Float, Float, Float, Int, Int, Int, bool]:
         own = members[number]
         axes = frame_of(plane_normal[number])
         inside = (points[own] - plane_center[number]) @ axes.T
@@ -81,7 +83,13 @@ def train_submaps(
         rows, columns = (max(2, round(float(side) / spacing)) for side in high - low)
         neurons = _sheet(low, high, rows, columns)
         bmu, hits = _train_batch(local, weights[own], neurons, rows, columns, epochs, _WIDTH_END)
-        normal, offset = _surface_at_neurons(local, weights[own], bmu, neurons, rows, columns, flat[number], noise)
+        bend = fit_bend(local, weights[own], spacing=spacing, noise=noise)
+        if bend is not None and bend.deviation < thin:
+            normal, offset = bend.normals(neurons), bend.onto(neurons)
+        elif thickness[number] < thin:
+            normal, offset = np.tile([0.0, 0.0, 1.0], (len(neurons), 1)), neurons * [1.0, 1.0, 0.0]
+        else:
+            normal, offset = _local_planes(local, weights[own], bmu, neurons, rows, columns)
         neurons = neurons - np.einsum("ij,ij->i", neurons - offset, normal)[:, None] * normal
         back = np.vstack([turn @ axes[:2], axes[2]])
         return (
@@ -91,6 +99,7 @@ def train_submaps(
             _triangles(neurons, rows, columns),
             hits,
             bmu,
+            bend is None and thickness[number] < thin,
         )
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
@@ -110,7 +119,7 @@ def train_submaps(
         submap=np.repeat(np.arange(len(parts)), sizes),
         faces=np.concatenate([part[3] + start for part, start in zip(parts, first, strict=True)]),
         hits=np.concatenate([part[4] for part in parts]),
-        flat=flat,
+        flat=np.array([part[6] for part in parts]),
         bmu=bmu,
     )
 
@@ -212,24 +221,15 @@ def _train_batch(points, weights, neurons, rows, columns, epochs, width_end):  #
     return bmu, hits
 
 
-def _surface_at_neurons(
-    points: Float,
-    weights: Float,
-    bmu: Int,
-    neurons: Float,
-    rows: int,
-    columns: int,
-    flat: bool,
-    noise: float,
+def _local_planes(
+    points: Float, weights: Float, bmu: Int, neurons: Float, rows: int, columns: int
 ) -> tuple[Float, Float]:
-    """Normal (n, 3) and a point (n, 3) of the tangent plane at each neuron, in the frame of the cluster.
+    """Normal (n, 3) and a point (n, 3) of the plane through the data of each neuron and its eight neighbors.
 
-    A flat cluster is one plane, z = 0. Elsewhere the plane is fitted to the data of a neuron and its eight neighbors.
+    Where these do not give one that lies about as the cluster does, the plane of the cluster, z = 0.
     """
     count = rows * columns
     normal, offset = np.tile([0.0, 0.0, 1.0], (count, 1)), np.zeros((count, 3))
-    if flat:
-        return normal, offset
     columns_of_moments = [weights, *(weights * points[:, a] for a in range(3))]
     columns_of_moments += [weights * points[:, a] * points[:, b] for a, b in _PAIRS]
     moments = np.stack([np.bincount(bmu, column, count) for column in columns_of_moments], axis=1)
