@@ -23,10 +23,12 @@ from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.advancing_front import join_submaps
 from g2_recon.reconstruction.clustering.flat import FlatClusters, flat_clusters
 from g2_recon.reconstruction.creases import insert_creases
+from g2_recon.reconstruction.fitting import fit_to_points
 from g2_recon.reconstruction.flat_submaps import FlatSubmaps, train_submaps
 from g2_recon.reconstruction.mesh_repair import (
     extend_borders,
     fill_small_loops,
+    large_pieces,
     remove_crossings,
     split_pinched,
 )
@@ -48,6 +50,13 @@ _FLATNESS = 0.2
 _REACH = 1.25
 # A border moves outwards by less than one cell.
 _FARTHEST_EXTENSION = 0.9
+# The fit looks for data of a triangle in this part of a cell around it.
+_FARTHEST_FIT = 0.25
+# A piece of less than this many cells, such as the strip that a single scan saw, is no surface that one would see.
+_LEAST_PIECE = 0.5
+# Coordinates are whole multiples of this share of the spacing, a micrometre at 20 cm: faces of one wall would else be
+# coplanar to the last bit, which exact tests of other tools take for overlap.
+_GRAIN = 5e-6
 # A cell whose triangle turns away from the surface of its neurons by more than 73 deg is folded.
 _LEAST_AGREEMENT = 0.3
 
@@ -61,7 +70,7 @@ def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: P
     surface = _reported(lambda: find_surface(cloud, config, workers), "normals", progress)
     clusters = _reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
     submaps, owner = build_submaps(surface, clusters, config, workers, progress)
-    mesh = _reported(lambda: triangulate(surface, submaps, owner, config), "joining", progress)
+    mesh = _reported(lambda: triangulate(surface, submaps, owner, config, workers), "joining", progress)
     error = np.linalg.norm(surface.points - submaps.vertices[owner], axis=1)[owner >= 0].mean()
     return Reconstruction(
         wire_mesh=wire_of(mesh),
@@ -124,7 +133,9 @@ def build_submaps(
     return submaps, owner
 
 
-def triangulate(surface: SurfacePoints, submaps: FlatSubmaps, owner: Int, config: ReconstructionConfig) -> Mesh:
+def triangulate(
+    surface: SurfacePoints, submaps: FlatSubmaps, owner: Int, config: ReconstructionConfig, workers: int
+) -> Mesh:
     """Phases 3 and 4: cells where there is data, an optimizing join, creases, and borders fitted to the data."""
     near = config.support_distance or config.spacing
     # In cells of this size any point of an occupied one is near enough.
@@ -145,12 +156,26 @@ def triangulate(surface: SurfacePoints, submaps: FlatSubmaps, owner: Int, config
     faces, face_submap = _filled(vertices, faces, face_submap, grid, near)
     # Without a normal a crease vertex moves along its crease only.
     normals = np.concatenate([normals, np.zeros((len(vertices) - len(normals), 3))])
+    bent = ~submaps.flat[submap]
+    free = np.concatenate([bent, touching(faces, bent, len(vertices))[len(bent) :]])
+    near_bent = touching(faces, free, len(vertices))
+    fitted = fit_to_points(
+        vertices,
+        faces,
+        free,
+        surface.points[(owner >= 0) & near_bent[owner]],
+        limit=_FARTHEST_FIT * config.spacing,
+        workers=workers,
+    )
     limit = _FARTHEST_EXTENSION * config.spacing
-    extended = extend_borders(vertices, faces, normals, surface.points, owner, limit=limit)
+    extended = extend_borders(fitted, faces, normals, surface.points, owner, limit=limit)
     vertices, sound = remove_crossings(extended, faces, vertices)
     faces, face_submap = _filled(vertices, faces[sound], face_submap[sound], grid, near)
     vertices, faces, _ = split_pinched(vertices, faces)
-    return Mesh(*_without_unused(vertices, faces), face_submap)
+    large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2)
+    vertices, faces = _without_unused(vertices, faces[large])
+    grain = _GRAIN * config.spacing
+    return Mesh(np.round(vertices / grain) * grain, faces, face_submap[large])
 
 
 def sound_cells(submaps: FlatSubmaps, grid: PointGrid, support_distance: float) -> NDArray[np.bool_]:
@@ -173,6 +198,14 @@ def wire_of(mesh: Mesh) -> WireMesh:
     ends = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges = np.unique(ends, axis=0)
     return WireMesh(mesh.vertices, edges, submap, submap[edges[:, 0]] != submap[edges[:, 1]])
+
+
+def touching(faces: Int, which: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+    """Mask (count,) of the vertices that share a face with one of `which` (count,) or its first vertices."""
+    mask = np.zeros(count, bool)
+    mask[: len(which)] = which
+    mask[faces[mask[faces].any(axis=1)]] = True
+    return mask
 
 
 def _usual_edge(vertices: Float, faces: Int, spacing: float) -> float:

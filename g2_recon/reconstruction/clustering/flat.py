@@ -59,6 +59,12 @@ _SYMMETRIC = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])
 # How often points of pieces too small for a cluster look for a cluster among their neighbors.
 _ADOPTIONS = 4
 
+# A cluster of less than this many least areas is no wall of its own where this share of it fits its neighbors well, at
+# this share of the cost of a turn by 90 deg.
+_SMALL = 4.0
+_ALMOST_ALL = 0.9
+_WELL = 0.25
+
 # Voxels four times as large count the area; those eight times as large share one list of near clusters.
 _AREA_LEVEL = 2
 _BLOCK_LEVEL = 3
@@ -341,13 +347,32 @@ def _without_scraps(
 
     A point goes to the cluster of the neighbor whose plane fits it best, or to -1 where none fits.
     """
-    large = planes.weight * surface.voxel**2 >= min_area
-    if not large.any():
+    area = planes.weight * surface.voxel**2
+    if not (area >= min_area).any():
         raise InputError(
             f"no part of the surface that hangs together covers {min_area:g} m^2",
             advice="choose a smaller spacing, or a larger one where the points are far apart",
         )
-    label = np.where(large[label], label, -1)
+    small = area < _SMALL * min_area
+    adopted = _adopted(sample, surface, np.where(small[label], -1, label), planes, costs, _WELL * costs.turn)
+    count = np.bincount(label, minlength=len(planes))
+    dissolved = small & (np.bincount(label, adopted >= 0, len(planes)) >= _ALMOST_ALL * count)
+    label = np.where(dissolved[label], adopted, label)
+    large = (area >= min_area) & ~dissolved
+    label = np.where((label >= 0) & large[label], label, -1)
+    label = _adopted(sample, surface, label, planes, costs, costs.turn)
+    number = np.cumsum(large) - 1
+    return np.where(label < 0, -1, number[label])
+
+
+def _adopted(
+    sample: _Sample, surface: SurfacePoints, label: Int, planes: _Planes, costs: _Costs, limit: float
+) -> Int:
+    """The labels (N,) after points without a cluster, -1, took that of the neighbor whose plane fits them best.
+
+    Where the misfit with all of them is more than `limit` they stay without.
+    """
+    label = label.copy()
     for _ in range(_ADOPTIONS):
         rows = np.flatnonzero(label < 0)
         cluster = label[surface.neighbors[rows]]
@@ -355,9 +380,8 @@ def _without_scraps(
         cost = np.where(cluster < 0, np.inf, misfit)
         best = cost.argmin(axis=1)
         each = np.arange(len(rows))
-        label[rows] = np.where(cost[each, best] < costs.turn, cluster[each, best], -1)
-    number = np.cumsum(large) - 1
-    return np.where(label < 0, -1, number[label])
+        label[rows] = np.where(cost[each, best] < limit, cluster[each, best], -1)
+    return label
 
 
 def _fit(sample: _Sample, label: Int, pool: ThreadPoolExecutor) -> _Planes:
