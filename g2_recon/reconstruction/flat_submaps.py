@@ -37,8 +37,8 @@ class FlatSubmaps:
 
     vertices: (V, 3) neurons on the surface, m. normals: (V, 3) of the surface there. center: (V, 3) a point on the
     tangent plane of each neuron. submap: (V,). faces: (F, 3) triangles of all cells, counterclockwise seen from the
-    free side. hits: (V,) how many points each neuron has. flat: (K,) whether a submap is a plane. bmu: (N,) the neuron
-    of each point.
+    free side. hits: (V,) how many points each neuron has. bent: (K,) whether a submap lies on a bend. bmu: (N,) the
+    neuron of each point.
     """
 
     vertices: Float
@@ -47,7 +47,7 @@ class FlatSubmaps:
     submap: Int
     faces: Int
     hits: Int
-    flat: NDArray[np.bool_]
+    bent: NDArray[np.bool_]
     bmu: Int
 
 
@@ -84,7 +84,8 @@ def train_submaps(
         neurons = _sheet(low, high, rows, columns)
         bmu, hits = _train_batch(local, weights[own], neurons, rows, columns, epochs, _WIDTH_END)
         bend = fit_bend(local, weights[own], spacing=spacing, noise=noise)
-        if bend is not None and bend.deviation < thin:
+        bent = bend is not None and bend.deviation < thin
+        if bend is not None and bent:
             normal, offset = bend.normals(neurons), bend.onto(neurons)
         elif thickness[number] < thin:
             normal, offset = np.tile([0.0, 0.0, 1.0], (len(neurons), 1)), neurons * [1.0, 1.0, 0.0]
@@ -99,7 +100,7 @@ def train_submaps(
             _triangles(neurons, rows, columns),
             hits,
             bmu,
-            bend is None and thickness[number] < thin,
+            bent,
         )
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
@@ -119,7 +120,7 @@ def train_submaps(
         submap=np.repeat(np.arange(len(parts)), sizes),
         faces=np.concatenate([part[3] + start for part, start in zip(parts, first, strict=True)]),
         hits=np.concatenate([part[4] for part in parts]),
-        flat=np.array([part[6] for part in parts]),
+        bent=np.array([part[6] for part in parts]),
         bmu=bmu,
     )
 

@@ -23,6 +23,11 @@ Mask = NDArray[np.bool_]
 # apart enough that no reader of the mesh merges them again, near enough that nobody sees it.
 _PART = 0.005
 
+# Where the data of a border vertex ends: at this quantile of its points, and this share of the gap between them beyond.
+_END = 0.98
+_BEYOND = 0.75
+_FARTHEST_BEYOND = 0.35
+
 # How much of its way from home a vertex keeps, round by round, while one of its faces crosses another one.
 _KEPT_OF_WAY = (0.5, 0.5, 0.5, 0.0, 0.0)
 
@@ -97,31 +102,45 @@ def extend_borders(
     faces: Int,
     normals: Float,
     points: Float,
+    neighbors: NDArray[np.int32],
     owner: Int,
     *,
     limit: float,
-    quantile: float = 0.98,
-    margin: float = 0.03,
 ) -> Float:
     """The vertices (V, 3) with those on open borders moved outwards in their tangent plane, to where their data ends.
 
     Neurons stand amid their data, so the mesh would end half a cell too early. normals: (V, 3), zero at a crease
-    vertex. points: (N, 3) m. owner: (N,) the vertex that each point belongs to, or -1. A vertex moves by the quantile
-    of its points' offsets in the outward direction plus `margin` (m, the part of the surface beyond the last scan), at
-    most by `limit` (m); with fewer than three points it stays. A crease vertex goes along its crease as far as its
-    neighbors on the border go.
+    vertex. points: (N, 3) m. neighbors: (N, m) points around each, itself for none. owner: (N,) the vertex that each
+    point belongs to, or -1. A vertex moves by the 98 % quantile of its points' offsets in the outward direction, and by
+    three quarters of the gap between points in that direction: where the surface ends it does so before one gap more,
+    and in a shadow it goes on. It moves at most by `limit` (m); with fewer than three points it stays. A crease vertex
+    goes along its crease as far as its neighbors on the border go.
     """
     border = border_half_edges(faces, len(vertices))
     outward = _outward_directions(vertices, faces, normals)
-    mine = owner >= 0
-    mine[mine] = (outward[owner[mine]] != 0).any(axis=1)
-    offset = np.einsum("ni,ni->n", points[mine] - vertices[owner[mine]], outward[owner[mine]])
-    end, count = _quantiles(offset, owner[mine], quantile, len(vertices))
-    length = np.where(count >= 3, np.clip(np.maximum(end, 0) + margin, 0, limit), 0)
+    rows = np.flatnonzero(owner >= 0)
+    rows = rows[(outward[owner[rows]] != 0).any(axis=1)]
+    mine = owner[rows]
+    offset = np.einsum("ni,ni->n", points[rows] - vertices[mine], outward[mine])
+    end, count = _quantiles(offset, mine, _END, len(vertices))
+    gap = _gaps(points, neighbors[rows], rows, mine, outward)
+    length = np.where(count >= 3, np.minimum(np.maximum(end, 0) + np.minimum(_BEYOND * gap, _FARTHEST_BEYOND * limit), limit), 0)
     step = length[:, None] * outward
     crease = (normals == 0).all(axis=1)
     step[crease] = _steps_along_creases(border, normals, step)[crease]
     return np.asarray(vertices + step)
+
+
+def _gaps(points: Float, neighbors: NDArray[np.int32], rows: Int, owner: Int, direction: Float) -> Float:
+    """Median distance (V,) m from the points `rows` (M,) of each owner to their neighbors along its direction (V, 3).
+
+    Neighbors (M, m) that are more than 45 deg aside do not count; 0 where there is none.
+    """
+    step = points[neighbors] - points[rows, None]
+    along = np.abs(np.einsum("nki,ni->nk", step, direction[owner]))
+    ahead = along > np.linalg.norm(step, axis=2) / math.sqrt(2)
+    whose = np.broadcast_to(owner[:, None], along.shape)
+    return _quantiles(along[ahead], whose[ahead], 0.5, len(direction))[0]
 
 
 # Neighbors whose normals spread less than this, as an eigenvalue of the mean of n n^T, share one plane: about 25 deg.

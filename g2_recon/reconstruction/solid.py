@@ -156,7 +156,7 @@ def triangulate(
     faces, face_submap = _filled(vertices, faces, face_submap, grid, near)
     # Without a normal a crease vertex moves along its crease only.
     normals = np.concatenate([normals, np.zeros((len(vertices) - len(normals), 3))])
-    bent = ~submaps.flat[submap]
+    bent = submaps.bent[submap]
     free = np.concatenate([bent, touching(faces, bent, len(vertices))[len(bent) :]])
     near_bent = touching(faces, free, len(vertices))
     fitted = fit_to_points(
@@ -168,7 +168,7 @@ def triangulate(
         workers=workers,
     )
     limit = _FARTHEST_EXTENSION * config.spacing
-    extended = extend_borders(fitted, faces, normals, surface.points, owner, limit=limit)
+    extended = extend_borders(fitted, faces, normals, surface.points, surface.neighbors, owner, limit=limit)
     vertices, sound = remove_crossings(extended, faces, vertices)
     faces, face_submap = _filled(vertices, faces[sound], face_submap[sound], grid, near)
     vertices, faces, _ = split_pinched(vertices, faces)
