@@ -168,8 +168,9 @@ def _areas_and_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
 def topology(vertices: Float, faces: Int) -> Topology:
     """Count what keeps a mesh, vertices (V, 3) in metres and faces (F, 3), from being a clean closed surface.
 
-    MeshLab counts self-intersecting faces another way: also those that only touch, such as two at one vertex that are
-    almost in one plane, but not those of one plane that overlap beside a vertex that they share.
+    MeshLab counts self-intersecting faces otherwise: also those that only touch and, by rounding, some that lie apart
+    in one plane; of those that overlap in one plane, not those that share a vertex or are parallel to a coordinate
+    plane.
     """
     welded_vertices, welded = _weld(vertices, faces)
     count = len(welded_vertices)
