@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Fit of the curved parts of a mesh to their data: the triangles, not only the neurons, lie amid the points.
+
+Neurons are on the surface; triangles between them cut its bends short, and the vertex of a crease that is round stands
+off it. Moving the vertices along their normals so that the points lie evenly on both sides of the triangles halves that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array, eye_array
+from scipy.sparse.linalg import cg
+
+from g2_recon.geometry.closest import closest_on_mesh
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_ROUNDS = 2
+# How much an uneven movement counts beside the squared distances of the points of a vertex, about fifteen of them.
+_SMOOTHNESS = 1.0
+# Without any point a vertex stays where it is.
+_HOLD = 1e-3
+_PRECISION = 1e-6
+
+
+def fit_to_points(
+    vertices: Float, faces: Int, free: Mask, points: Float, *, limit: float, workers: int = 1
+) -> Float:
+    """The vertices (V, 3) with the free ones (V,) moved along their normals, so that the mesh fits the points (N, 3).
+
+    Least squares of the distances of the points from the triangles, as far as these are nearer than `limit` (m), plus
+    the unevenness of the movement (its graph Laplacian, squared); in two rounds, as the closest places change.
+    """
+    touched = free[faces].any(axis=1)
+    if not touched.any() or not len(points):
+        return vertices
+    # One more ring of faces, so that points beyond the free ones have a closest place of their own.
+    ring = np.zeros(len(vertices), bool)
+    ring[faces[touched]] = True
+    around = faces[ring[faces].any(axis=1)]
+    unevenness = _laplacian(faces[touched], free)
+    vertices = vertices.copy()
+    for _ in range(_ROUNDS):
+        normals = _vertex_normals(vertices, around)
+        slopes, distances = _distances(vertices, around, free, normals, points, limit, workers)
+        matrix = slopes.T @ slopes + _SMOOTHNESS * (unevenness.T @ unevenness) + _HOLD * eye_array(slopes.shape[1])
+        step, _ = cg(matrix.tocsr(), slopes.T @ distances, rtol=_PRECISION)
+        vertices[free] += step[:, None] * normals[free]
+    return vertices
+
+
+def _distances(
+    vertices: Float, faces: Int, free: Mask, normals: Float, points: Float, limit: float, workers: int
+) -> tuple[csr_array, Float]:
+    """Signed distances (M,) m of the points above free faces, and how they fall with each free vertex (M, free)."""
+    places = closest_on_mesh(points, vertices, faces, limit=limit, workers=workers)
+    hit = faces[places.face]
+    # Closest to a corner, a point may be anywhere beyond it.
+    inside = (places.face >= 0) & free[hit].any(axis=1) & ((places.barycentric > 1e-6).sum(axis=1) >= 2)
+    hit, share = hit[inside], places.barycentric[inside]
+    a, b, c = (vertices[hit[:, corner]] for corner in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    distance = np.einsum("mi,mi->m", points[inside] - a, normal)
+    slope = share * np.einsum("mki,mi->mk", normals[hit], normal)
+    number = np.cumsum(free) - 1
+    row, corner = np.nonzero(free[hit])
+    shape = (len(hit), int(free.sum()))
+    return csr_array((slope[row, corner], (row, number[hit[row, corner]])), shape=shape), distance
+
+
+def _laplacian(faces: Int, free: Mask) -> csr_array:
+    """How far each free vertex moves beyond the mean of its neighbors: (free, free); the others stay."""
+    ends = np.unique(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=0)
+    ends = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
+    ends = ends[free[ends[:, 0]]]
+    number = np.cumsum(free) - 1
+    count = int(free.sum())
+    neighbors = np.maximum(np.bincount(number[ends[:, 0]], minlength=count), 1)
+    both = number[ends[free[ends[:, 1]]]]
+    graph = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
+    return csr_array(eye_array(count) - diags_array(1.0 / neighbors) @ graph)
+
+
+def _vertex_normals(vertices: Float, faces: Int) -> Float:
+    """Unit normals (V, 3), means over the faces at a vertex by area; zero where there is none."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    area = np.cross(b - a, c - a)
+    normals = np.zeros_like(vertices)
+    for axis in range(3):
+        normals[:, axis] = np.bincount(faces.ravel(), np.repeat(area[:, axis], 3), len(vertices))
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
