@@ -20,9 +20,9 @@ from scipy.spatial import cKDTree
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.closest import TriangleTree, closest_in_tree, triangle_tree
+from g2_recon.geometry.intersections import faces_cross
 from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.progress import Progress, silent
-from g2_recon.reconstruction.intersections import faces_cross
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
-from g2_recon.reconstruction.intersections import faces_cross
-from g2_recon.reconstruction.support import PointGrid, cell_of, point_grid, points_in_cell, triangle_supported
+from g2_recon.geometry.intersections import faces_cross
+from g2_recon.geometry.point_grid import PointGrid, cell_of, point_grid, points_in_cell
+from g2_recon.reconstruction.support import triangle_supported
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]

@@ -49,7 +49,7 @@ class Bend:
 def fit_bend(points: Float, weights: Float, *, spacing: float, noise: float) -> Bend | None:
     """The bend that points (N, 3) with weights (N,) lie on, or None where a plane describes them as well.
 
-    The points are in a frame whose z axis is the normal of their plane. spacing: m, of neurons. noise: m, of the points.
+    The points are in a frame whose z axis is the normal of their plane. spacing: m, of neurons. noise: m, of points.
     """
     size = float(np.abs(points[:, :2]).max(initial=0.0))
     if len(points) < 12 or size == 0.0:
@@ -70,10 +70,10 @@ def _monomials(x: Float, y: Float) -> Float:
 
 @numba.njit(cache=True, nogil=True)
 def _fit(points, weights, scale, slack):  # type: ignore[no-untyped-def]
-    """Coefficients (6,) in scaled coordinates, variance across the bend, variance that it explains beyond a plane, and
-    the number of points that count.
+    """The weighted least-squares fit, repeated without the points farther off than `slack` and 2.5 deviations.
 
-    The weighted least-squares fit, repeated without the points that are farther off than `slack` and 2.5 deviations.
+    Coefficients (6,) in scaled coordinates, variance across the bend, variance that it explains beyond a plane, and the
+    number of points that count.
     """
     coefficients = np.zeros(6)
     limit = np.inf
@@ -105,7 +105,7 @@ def _fit(points, weights, scale, slack):  # type: ignore[no-untyped-def]
             for b in range(a):
                 matrix[b, a] = matrix[a, b]
             matrix[a, a] += 1e-9 * total
-        coefficients = np.linalg.solve(matrix, right)
+        coefficients[:] = np.linalg.solve(matrix, right)
         plane = np.linalg.solve(np.ascontiguousarray(matrix[:3, :3]), right[:3])
         variance = max(square - np.dot(right, coefficients), 0.0) / total
         explained = max(np.dot(right, coefficients) - np.dot(right[:3], plane), 0.0) / total

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit of the curved parts of a mesh to their data: the triangles, not only the neurons, lie amid the points.
 
-Neurons are on the surface; triangles between them cut its bends short, and the vertex of a crease that is round stands
-off it. Moving the vertices along their normals so that the points lie evenly on both sides of the triangles halves that.
+Neurons are on the surface; triangles between them cut its bends short. Moving the vertices along their normals until
+the points lie evenly on both sides of the triangles halves that error.
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ _HOLD = 1e-3
 _PRECISION = 1e-6
 
 
-def fit_to_points(
-    vertices: Float, faces: Int, free: Mask, points: Float, *, limit: float, workers: int = 1
-) -> Float:
+def fit_to_points(vertices: Float, faces: Int, free: Mask, points: Float, *, limit: float, workers: int = 1) -> Float:
     """The vertices (V, 3) with the free ones (V,) moved along their normals, so that the mesh fits the points (N, 3).
 
     Least squares of the distances of the points from the triangles, as far as these are nearer than `limit` (m), plus

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from g2_recon.reconstruction.intersections import crossing_pairs
-from g2_recon.reconstruction.support import PointGrid, supported
+from g2_recon.geometry.intersections import crossing_pairs
+from g2_recon.geometry.point_grid import PointGrid
+from g2_recon.reconstruction.support import supported
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -25,7 +26,7 @@ _PART = 0.005
 
 # Where the data of a border vertex ends: at this quantile of its points, and this share of the gap between them beyond.
 _END = 0.98
-_BEYOND = 0.75
+_BEYOND = 1.0
 _FARTHEST_BEYOND = 0.35
 
 # How much of its way from home a vertex keeps, round by round, while one of its faces crosses another one.
@@ -91,10 +92,14 @@ def _fan_middles(vertices: Float, faces: Int) -> Float:
 
 def border_half_edges(faces: Int, count: int) -> Int:
     """The half-edges (B, 2) of faces (F, 3) over `count` vertices that no face has in the other direction."""
-    begin: Int = faces.reshape(-1)
-    end: Int = np.roll(faces, -1, axis=1).reshape(-1)
-    is_open = ~np.isin(begin * count + end, end * count + begin)
-    return np.stack([begin[is_open], end[is_open]], axis=1)
+    half_edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    return np.asarray(half_edges[_is_open(faces, count)])
+
+
+def _is_open(faces: Int, count: int) -> Mask:
+    """Mask (3 F,) of the half-edges, one after each corner of the faces, that no face has in the other direction."""
+    begin, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    return ~np.isin(begin * count + end, end * count + begin)
 
 
 def extend_borders(
@@ -124,7 +129,8 @@ def extend_borders(
     offset = np.einsum("ni,ni->n", points[rows] - vertices[mine], outward[mine])
     end, count = _quantiles(offset, mine, _END, len(vertices))
     gap = _gaps(points, neighbors[rows], rows, mine, outward)
-    length = np.where(count >= 3, np.minimum(np.maximum(end, 0) + np.minimum(_BEYOND * gap, _FARTHEST_BEYOND * limit), limit), 0)
+    beyond = np.minimum(_BEYOND * gap, _FARTHEST_BEYOND * limit)
+    length = np.where(count >= 3, np.minimum(np.maximum(end, 0) + beyond, limit), 0)
     step = length[:, None] * outward
     crease = (normals == 0).all(axis=1)
     step[crease] = _steps_along_creases(border, normals, step)[crease]
@@ -132,15 +138,16 @@ def extend_borders(
 
 
 def _gaps(points: Float, neighbors: NDArray[np.int32], rows: Int, owner: Int, direction: Float) -> Float:
-    """Median distance (V,) m from the points `rows` (M,) of each owner to their neighbors along its direction (V, 3).
+    """Median (V,) m over the points `rows` (M,) of each owner of how far the next point along its direction (V, 3) is.
 
     Neighbors (M, m) that are more than 45 deg aside do not count; 0 where there is none.
     """
     step = points[neighbors] - points[rows, None]
     along = np.abs(np.einsum("nki,ni->nk", step, direction[owner]))
-    ahead = along > np.linalg.norm(step, axis=2) / math.sqrt(2)
-    whose = np.broadcast_to(owner[:, None], along.shape)
-    return _quantiles(along[ahead], whose[ahead], 0.5, len(direction))[0]
+    ahead = along * math.sqrt(2) > np.linalg.norm(step, axis=2)
+    next_one = np.where(ahead, along, np.inf).min(axis=1)
+    known = np.isfinite(next_one)
+    return _quantiles(next_one[known], owner[known], 0.5, len(direction))[0]
 
 
 # Neighbors whose normals spread less than this, as an eigenvalue of the mean of n n^T, share one plane: about 25 deg.
@@ -164,9 +171,8 @@ def _outward_directions(vertices: Float, faces: Int, normals: Float) -> Float:
     """Unit vectors (V, 3) off the surface in the tangent plane of each border vertex; zero for others."""
     area = _area_vectors(vertices, faces)
     area /= np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-12)
-    starts, ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    is_open = ~np.isin(starts * len(vertices) + ends, ends * len(vertices) + starts)
-    begin, end = starts[is_open], ends[is_open]
+    is_open = _is_open(faces, len(vertices))
+    begin, end = faces.ravel()[is_open], np.roll(faces, -1, axis=1).ravel()[is_open]
     # As long as the edge, so that a long side counts for more.
     away = np.cross(vertices[end] - vertices[begin], np.repeat(area, 3, axis=0)[is_open])
     both = np.concatenate([begin, end])
@@ -246,12 +252,14 @@ def fill_small_loops(
 
     Each hole gets the triangulation of least area (Barequet and Sharir, "Filling gaps in the boundary of a polyhedron",
     1995, section 3.2). A hole stays open where data lies within `support_distance` (m) of fewer than `support_share` of
-    its triangles, where the mesh would not stay manifold and oriented, or where a new face would cross another one.
+    its triangles, where the mesh would not stay manifold and oriented, or where a new face would cross another one or
+    be its back.
     """
     loops, size = _small_loops(vertices, faces, max_edges)
     triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size)
     support = np.bincount(loop, supported(vertices, triangles, grid, support_distance), len(loops))
     accepted = support > support_share * np.maximum(size - 2, 1)
+    accepted &= ~_backs(faces, loops, size, len(vertices))
     accepted &= _keeps_manifold(faces, triangles, loop, size, accepted, len(vertices))
     while True:
         chosen = accepted[loop]
@@ -261,6 +269,14 @@ def fill_small_loops(
         if not len(crossing):
             return np.asarray(triangles[chosen])
         accepted[loop[chosen][crossing]] = False
+
+
+def _backs(faces: Int, loops: Int, size: Int, count: int) -> Mask:
+    """Mask (L,) of the loops that are around a face without neighbors: what closes them would be its back."""
+    alone = faces[_is_open(faces, count).reshape(-1, 3).all(axis=1)]
+    corners = {tuple(face) for face in np.sort(alone, axis=1).tolist()}
+    around = [size[loop] == 3 and tuple(sorted(loops[loop, :3].tolist())) in corners for loop in range(len(loops))]
+    return np.array(around, bool)
 
 
 def _small_loops(vertices: Float, faces: Int, max_edges: int) -> tuple[Int, Int]:

@@ -19,6 +19,7 @@ from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.geometry.point_grid import PointGrid, point_grid
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.advancing_front import join_submaps
 from g2_recon.reconstruction.clustering.flat import FlatClusters, flat_clusters
@@ -33,7 +34,7 @@ from g2_recon.reconstruction.mesh_repair import (
     split_pinched,
 )
 from g2_recon.reconstruction.result import Reconstruction
-from g2_recon.reconstruction.support import PointGrid, point_grid, supported
+from g2_recon.reconstruction.support import supported
 from g2_recon.reconstruction.surface_points import SurfacePoints, prepare
 
 Float = NDArray[np.float64]

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from g2_recon.errors import InputError
 from g2_recon.evaluation.surface import crossing_faces, sample_surface, score_surface, topology
+from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.mesh import TrueSurface
-from g2_recon.reconstruction.intersections import crossing_pairs
 
 # A square of 2 m, and the same 3 cm above.
 SQUARE = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]])

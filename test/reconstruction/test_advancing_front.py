@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.intersections import crossing_pairs
+from g2_recon.geometry.point_grid import point_grid
 from g2_recon.reconstruction.advancing_front import join_submaps
-from g2_recon.reconstruction.intersections import crossing_pairs
 from g2_recon.reconstruction.lattice import rectangular
-from g2_recon.reconstruction.support import point_grid
 from g2_recon.reconstruction.triangulation import split_cells
 
 SPACING = 0.2

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from g2_recon.reconstruction.intersections import crossing_pairs
+from g2_recon.geometry.intersections import crossing_pairs
+from g2_recon.geometry.point_grid import point_grid
 from g2_recon.reconstruction.mesh_repair import (
     border_half_edges,
     extend_borders,
@@ -14,7 +15,6 @@ from g2_recon.reconstruction.mesh_repair import (
     remove_crossings,
     split_pinched,
 )
-from g2_recon.reconstruction.support import point_grid
 
 
 def sheet(columns=6, rows=6, step=0.2):

@@ -365,9 +365,7 @@ def _without_scraps(
     return np.where(label < 0, -1, number[label])
 
 
-def _adopted(
-    sample: _Sample, surface: SurfacePoints, label: Int, planes: _Planes, costs: _Costs, limit: float
-) -> Int:
+def _adopted(sample: _Sample, surface: SurfacePoints, label: Int, planes: _Planes, costs: _Costs, limit: float) -> Int:
     """The labels (N,) after points without a cluster, -1, took that of the neighbor whose plane fits them best.
 
     Where the misfit with all of them is more than `limit` they stay without.

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.reconstruction.support import cell_of, point_grid, points_in_cell
+from g2_recon.geometry.point_grid import cell_of, point_grid, points_in_cell
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]

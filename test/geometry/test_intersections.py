@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from g2_recon.reconstruction.intersections import crossing_pairs
+from g2_recon.geometry.intersections import crossing_pairs
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 APART = np.array([[0, 1, 2], [3, 4, 5]])
