@@ -48,6 +48,13 @@ _WIDENINGS = 2
 _LINE = 8.0
 _EDGE_ON = np.cos(np.deg2rad(87.0))
 
+# Neighbors that spread across their plane by more than this many times the noise do not lie on one; the plane of the
+# nearest few is taken instead where they spread by less than this part of that.
+_ROUGH = 1.6
+_NARROW_NEIGHBORS = 10
+_NOISY = 0.06
+_FLATTER = 0.6
+
 # Points a task: many tasks a worker, each large enough that its start costs nothing. Results do not depend on it.
 _CHUNK = 8192
 
@@ -111,6 +118,7 @@ def prepare(
 
     local = _local_planes(points, sensor, cells, radius, neighbors, workers)
     noise = float(np.median(local.deviation[local.spans])) if local.spans.any() else 0.0
+    _refit_narrow(points, sensor, local, noise, radius, workers)
     isolated = local.count - 1 < _FEWEST_NEIGHBORS
     off = ~isolated & (
         _median_distances(points, local.normals, local.around) > max(_OFF_PLANE_NOISE * noise, off_plane)
@@ -214,6 +222,18 @@ class _Local:
     count: Int
     around: NDArray[np.int32]
 
+    @staticmethod
+    def blank(size: int) -> _Local:
+        """Of `size` points without any plane."""
+        return _Local(
+            middles=np.empty((size, 3)),
+            normals=np.empty((size, 3)),
+            deviation=np.empty(size),
+            spans=np.zeros(size, bool),
+            count=np.zeros(size, np.int64),
+            around=np.empty((size, SECTORS), np.int32),
+        )
+
     def select(self, which: Mask) -> _Local:
         return _Local(*(getattr(self, field.name)[which] for field in fields(self)))
 
@@ -223,20 +243,30 @@ def _local_planes(
 ) -> _Local:
     """Fit a plane to the neighbors of each point, wider and coarser where the nearest ones do not span one."""
     size = len(points)
-    local = _Local(
-        middles=np.empty((size, 3)),
-        normals=np.empty((size, 3)),
-        deviation=np.empty(size),
-        spans=np.zeros(size, bool),
-        count=np.zeros(size, np.int64),
-        around=np.empty((size, SECTORS), np.int32),
-    )
+    local = _Local.blank(size)
     _fit_rows(points, sensor, np.arange(size), np.arange(size), radius, neighbors, workers, local)
     for widening in range(_WIDENINGS):
         rows = np.flatnonzero(~local.spans & (local.count > _FEWEST_NEIGHBORS))
         coarse = first_of_runs(cells >> np.uint64(3 * widening))
         _fit_rows(points, sensor, rows, coarse, radius * 2 ** (widening + 1), neighbors, workers, local)
     return local
+
+
+def _refit_narrow(
+    points: Float, sensor: Float | None, local: _Local, noise: float, radius: float, workers: int
+) -> None:
+    """Where the neighbors of a point do not lie on one plane, take the plane of the nearest ones if these do.
+
+    On a beam, a jamb or another face not much wider than the neighborhood, all wider neighborhoods bend round its edges.
+    """
+    rows = np.flatnonzero(local.spans & (local.deviation > _ROUGH * noise))
+    if not len(rows) or noise > _NOISY * radius:
+        return
+    narrow = _Local.blank(len(points))
+    _fit_rows(points, sensor, rows, np.arange(len(points)), radius, _NARROW_NEIGHBORS, workers, narrow)
+    better = narrow.spans & (narrow.deviation < _FLATTER * local.deviation)
+    for name in ("middles", "normals", "deviation"):
+        getattr(local, name)[better] = getattr(narrow, name)[better]
 
 
 def _fit_rows(
