@@ -21,8 +21,9 @@ def warm_up() -> None:
     for with_sensor in (True, False):
         cloud = _corner_of_a_room(with_sensor=with_sensor)
         reconstruct(cloud, ReconstructionConfig())
-    for training in ("iterative", "batch"):
-        reconstruct(cloud, ReconstructionConfig(mode="paper", training=training, clusters=4, passes=50))
+    published = ReconstructionConfig(mode="paper", clusters=4, passes=50)
+    for other in ({}, {"training": "batch"}, {"clustering": "neural_gas", "presentations": 100, "passes": 1}):
+        reconstruct(cloud, published.model_copy(update=other))
 
 
 def _corner_of_a_room(*, with_sensor: bool) -> Cloud:
