@@ -23,8 +23,6 @@ from g2_recon.reconstruction.som import FAR_OFF, NEVER, Stop, padded, present, s
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
-# Steps at which a neighborhood of radius 1 moves nothing.
-_OUT_OF_REACH = 100
 # Progress is told and the call to stop is heard this often.
 _PASSES_AT_ONCE = 100
 # With fewer points a round it takes longer to wake up threads than to present the points.
@@ -140,7 +138,7 @@ class _Parts:
     """The region parted into what each submap presents its data to.
 
     arrays: points, their order, first point of each part, neurons (rows of the region), first neuron of each part,
-    steps between the neurons of each part, first of these, random state of each part.
+    pull between the neurons of each part, first of these, random state of each part.
     rounds: numbers of the parts that share no neuron, round by round. effort: (P,) of presenting each part once.
     """
 
@@ -160,16 +158,16 @@ def _parts(submap: Int, region: BorderRegion, middle: Float, seed: int) -> _Part
     reached = ((own + own @ region.graph) > 0).astype(float).tocsr()
     reached.sort_indices()
     neurons = np.split(reached.indices, reached.indptr[1:-1])
-    steps = [_steps(region.graph[part][:, part]).ravel() for part in neurons]
+    pull = [_pull(region.graph[part][:, part]).ravel() for part in neurons]
     return _Parts(
         arrays=(
             np.ascontiguousarray((region.points - middle)[by_part], dtype=np.float32),
-            np.concatenate([np.arange(size) for size in points]),
+            np.concatenate([np.arange(size, dtype=np.int32) for size in points]),
             _starts(points),
             reached.indices.astype(np.int64),
             _starts([len(part) for part in neurons]),
-            np.concatenate(steps),
-            _starts([len(part) for part in steps]),
+            np.concatenate(pull),
+            _starts([len(part) for part in pull]),
             2 * (seed + np.arange(count, dtype=np.uint64)) + np.uint64(1),
         ),
         rounds=_rounds((reached @ reached.T).tocsr()),
@@ -177,9 +175,12 @@ def _parts(submap: Int, region: BorderRegion, middle: Float, seed: int) -> _Part
     )
 
 
-def _steps(graph: csr_array) -> NDArray[np.int16]:
-    """Shortest paths (n, n) on a graph; what cannot be reached counts as farther than any neighborhood."""
-    return np.minimum(shortest_path(graph, directed=False, unweighted=True), _OUT_OF_REACH).astype(np.int16)
+def _pull(graph: csr_array) -> NDArray[np.float32]:
+    """What `present` wants (n, padded(n)) for a neighborhood of radius 1 on a graph of n neurons; see train_online."""
+    count = graph.shape[0]
+    pull = np.zeros((count, padded(count)), np.float32)
+    pull[:, :count] = np.exp(-2.0 * shortest_path(graph, directed=False, unweighted=True) ** 2)
+    return pull
 
 
 def _starts(sizes: Int | list[int]) -> Int:
@@ -209,20 +210,19 @@ def _shared(members: Int, effort: Float, workers: int) -> list[Int]:
 @numba.njit(cache=True, nogil=True)
 def _present_in_turn(which, arrays, weights, rates):  # type: ignore[no-untyped-def]
     """For each rate, each of these parts presents its points once; weights (A, 3) are changed in place."""
-    points, order, first_point, neurons, first_neuron, steps, first_step, states = arrays
-    radii = np.ones(1)
-    for turn in range(len(rates)):
+    points, order, first_point, neurons, first_neuron, pull, first_pull, states = arrays
+    for rate in rates:
         for part in which:
             begin, end = first_point[part], first_point[part + 1]
             own = neurons[first_neuron[part] : first_neuron[part + 1]]
-            count = len(own)
-            apart = steps[first_step[part] : first_step[part + 1]].reshape(count, count)
-            local = np.full((3, padded(count)), np.float32(FAR_OFF), np.float32)
-            for i in range(count):
+            local = np.full((3, padded(len(own))), np.float32(FAR_OFF), np.float32)
+            for i in range(len(own)):
                 for axis in range(3):
                     local[axis, i] = weights[own[i], axis]
-            state = states[part : part + 1]
-            present(points[begin:end], local, apart, order[begin:end], rates[turn : turn + 1], radii, state)
-            for i in range(count):
+            # All parts together do not fit into the cache of a core; one part does, and copied it comes in one go.
+            data = points[begin:end].copy()
+            shares = pull[first_pull[part] : first_pull[part + 1]].copy().reshape(len(own), local.shape[1])
+            present(data, local, shares, rate, order[begin:end], states[part : part + 1])
+            for i in range(len(own)):
                 for axis in range(3):
                     weights[own[i], axis] = local[axis, i]

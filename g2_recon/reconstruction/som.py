@@ -69,14 +69,14 @@ def train_online(
     presented = np.ascontiguousarray(points - middle, dtype=np.float32)
     steps = lattice.steps.astype(np.int16)
     state = np.array([seed * 2 + 1], np.uint64)
-    order = np.arange(len(points))
+    order = np.arange(len(points), dtype=np.int32)
     for first in range(0, passes, _PASSES_AT_ONCE):
         if stop.is_set():
             break
         done = np.arange(first, min(first + _PASSES_AT_ONCE, passes)) / max(passes - 1, 1)
         rates = learning_rate_start + (learning_rate_end - learning_rate_start) * done
         radii = lattice.longest_path + (1.0 - lattice.longest_path) * done
-        present(presented, weights, steps, order, rates, radii, state)
+        _train(presented, weights, steps, order, rates, radii, state)
     return weights[:, : len(start)].T.astype(float) + middle
 
 
@@ -87,17 +87,31 @@ def padded(count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def present(points, weights, steps, order, rates, radii, state):  # type: ignore[no-untyped-def]
-    """A pass over the points (N, 3) for each rate and radius; weights, order and state are changed in place.
+def _train(points, weights, steps, order, rates, radii, state):  # type: ignore[no-untyped-def]
+    """A pass over the points for each rate and radius; weights, order and state are changed in place."""
+    count, width = len(steps), weights.shape[1]
+    pull_at = np.empty(steps.max() + 1, np.float32)
+    pull = np.zeros((count, width), np.float32)
+    for turn in range(len(rates)):
+        for far in range(len(pull_at)):
+            pull_at[far] = math.exp(-2.0 * (far / radii[turn]) ** 2)
+        for i in range(count):
+            for j in range(count):
+                pull[i, j] = pull_at[steps[i, j]]
+        present(points, weights, pull, rates[turn], order, state)
 
-    weights: (3, padded(n)), single precision, with FAR_OFF beyond the n neurons. steps: (n, n). order: (N,) numbers of
-    the points. state: (1,) of the random generator. Neurons whose squared distances agree to one part in 2^17 (in 2^12
-    with thousands of neurons) count as equally near, which is what single precision leaves of them anyway.
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def present(points, weights, pull, rate, order, state):  # type: ignore[no-untyped-def]
+    """Present each point (N, 3) once, in random order; weights, order and state are changed in place.
+
+    weights: (3, padded(n)), single precision, with FAR_OFF beyond the n neurons. pull: (n, padded(n)) what share of the
+    learning rate a neuron gets when another one is the best matching unit; 0 beyond the n. order: (N,) numbers of the
+    points. state: (1,) of the random generator. Neurons whose squared distances agree to one part in 2^17 (in 2^11 with
+    thousands of neurons) count as equally near; single precision leaves not much more of them.
     """
-    if len(order) == 0:
-        return
     along_x, along_y, along_z = weights[0], weights[1], weights[2]
-    count, width = len(steps), len(along_x)
+    width = len(along_x)
     # The bits of a float that is not negative, read as an integer, are in the order of the floats; with the number of
     # the neuron in the lowest bits, the smallest of them names the best matching unit. Unlike a search for the place
     # of the smallest float, compilers make this one look at eight neurons at once.
@@ -108,37 +122,31 @@ def present(points, weights, steps, order, rates, radii, state):  # type: ignore
     while low < width - 1:
         low = np.int32(2 * low + 1)
     high = np.int32(~low)
-    pull_at = np.empty(steps.max() + 1, np.float32)
-    pull = np.zeros((count, width), np.float32)
-    for turn in range(len(rates)):
-        for far in range(len(pull_at)):
-            pull_at[far] = rates[turn] * math.exp(-2.0 * (far / radii[turn]) ** 2)
-        for i in range(count):
-            for j in range(count):
-                pull[i, j] = pull_at[steps[i, j]]
-        shuffle(order, state)
-        # In one go the neurons move to one point and are measured against the next; the first one moves none.
-        x, y, z = np.float32(0), np.float32(0), np.float32(0)
-        pulled = np.zeros(width, np.float32)
-        for index in order:
-            next_x, next_y, next_z = points[index, 0], points[index, 1], points[index, 2]
-            for j in range(width):
-                here_x, here_y, here_z = along_x[j], along_y[j], along_z[j]
-                here_x += pulled[j] * (x - here_x)
-                here_y += pulled[j] * (y - here_y)
-                here_z += pulled[j] * (z - here_z)
-                along_x[j], along_y[j], along_z[j] = here_x, here_y, here_z
-                dx, dy, dz = here_x - next_x, here_y - next_y, here_z - next_z
-                distance[j] = dx * dx + dy * dy + dz * dz
-            nearest = np.int32(0x7FFFFFFF)
-            for j in range(width):
-                nearest = min(nearest, np.int32((bits[j] & high) | number[j]))
-            pulled = pull[nearest & low]
-            x, y, z = next_x, next_y, next_z
+    shuffle(order, state)
+    # In one go the neurons move to one point and are measured against the next; at first there is none to move to.
+    x, y, z = np.float32(0), np.float32(0), np.float32(0)
+    pulled, share = pull[0], np.float32(0)
+    for index in order:
+        next_x, next_y, next_z = points[index, 0], points[index, 1], points[index, 2]
         for j in range(width):
-            along_x[j] += pulled[j] * (x - along_x[j])
-            along_y[j] += pulled[j] * (y - along_y[j])
-            along_z[j] += pulled[j] * (z - along_z[j])
+            here_x, here_y, here_z = along_x[j], along_y[j], along_z[j]
+            by = share * pulled[j]
+            here_x += by * (x - here_x)
+            here_y += by * (y - here_y)
+            here_z += by * (z - here_z)
+            along_x[j], along_y[j], along_z[j] = here_x, here_y, here_z
+            dx, dy, dz = here_x - next_x, here_y - next_y, here_z - next_z
+            distance[j] = dx * dx + dy * dy + dz * dz
+        nearest = np.int32(0x7FFFFFFF)
+        for j in range(width):
+            nearest = min(nearest, np.int32((bits[j] & high) | number[j]))
+        pulled, share = pull[nearest & low], np.float32(rate)
+        x, y, z = next_x, next_y, next_z
+    for j in range(width):
+        by = share * pulled[j]
+        along_x[j] += by * (x - along_x[j])
+        along_y[j] += by * (y - along_y[j])
+        along_z[j] += by * (z - along_z[j])
 
 
 @numba.njit(cache=True, nogil=True)

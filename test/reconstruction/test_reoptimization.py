@@ -65,7 +65,7 @@ def test_the_kernel_follows_the_rule_of_training_on_the_joined_graph():
     graph = region.graph.toarray() > 0
     passes = 3
     expected = row.weights[region.neurons].copy()
-    orders = [np.arange(np.sum(submap[region.bmu] == part)) for part in range(3)]
+    orders = [np.arange(np.sum(submap[region.bmu] == part), dtype=np.int32) for part in range(3)]
     states = [np.array([2 * (RATES["seed"] + part) + 1], np.uint64) for part in range(3)]
     for number in range(passes):
         rate = 0.5 + (0.005 - 0.5) * number / (passes - 1)

@@ -61,21 +61,22 @@ def test_the_kernel_follows_the_rule_of_kohonen():
 
 @pytest.mark.parametrize("neurons", [3, 40, 50, 300])
 def test_the_kernel_presents_points_one_by_one_in_shuffled_order(neurons):
-    """A plain twin of the kernel for a few points and any steps between neurons."""
+    """A plain twin of the kernel for a few points and any pull between neurons."""
     rng = np.random.default_rng(neurons)
     points, start = rng.random((20, 3)).astype(np.float32), rng.random((neurons, 3)).astype(np.float32)
-    steps = rng.integers(1, 9, (neurons, neurons)).astype(np.int16)
-    np.fill_diagonal(steps, 0)
-    rates, radii = np.array([0.5, 0.2, 0.05]), np.array([5.0, 2.0, 1.0])
-    expected, order, state = start.astype(float), np.arange(20), np.array([1], np.uint64)
-    for rate, radius in zip(rates, radii, strict=True):
+    pull = np.zeros((neurons, padded(neurons)), np.float32)
+    pull[:, :neurons] = rng.random((neurons, neurons))
+    expected, order, state = start.astype(float), np.arange(20, dtype=np.int32), np.array([1], np.uint64)
+    for rate in (0.5, 0.2, 0.05):
         shuffle(order, state)
         for point in points[order]:
             bmu = np.linalg.norm(expected - point, axis=1).argmin()
-            expected += rate * np.exp(-2 * (steps[bmu, :, None] / radius) ** 2) * (point - expected)
+            expected += rate * pull[bmu, :neurons, None] * (point - expected)
     weights = np.full((3, padded(neurons)), FAR_OFF, np.float32)
     weights[:, :neurons] = start.T
-    present(points, weights, steps, np.arange(20), rates, radii, np.array([1], np.uint64))
+    order, state = np.arange(20, dtype=np.int32), np.array([1], np.uint64)
+    for rate in (0.5, 0.2, 0.05):
+        present(points, weights, pull, rate, order, state)
     moved = weights[:, :neurons].T
     assert moved == pytest.approx(expected, abs=1e-4)
     assert (weights[:, neurons:] == np.float32(FAR_OFF)).all()
@@ -83,14 +84,19 @@ def test_the_kernel_presents_points_one_by_one_in_shuffled_order(neurons):
 
 def test_without_points_the_kernel_moves_nothing():
     weights = np.ones((3, 8), np.float32)
-    state = np.array([1], np.uint64)
-    nothing = np.empty((0, 3), np.float32), weights, np.zeros((8, 8), np.int16), np.arange(0)
-    present(*nothing, np.ones(2), np.ones(2), state)
+    present(
+        np.empty((0, 3), np.float32),
+        weights,
+        np.ones((8, 8), np.float32),
+        0.5,
+        np.arange(0, dtype=np.int32),
+        np.ones(1, np.uint64),
+    )
     assert (weights == 1).all()
 
 
 def test_a_shuffle_keeps_all_numbers_and_changes_their_order():
-    order, state = np.arange(1000), np.array([7], np.uint64)
+    order, state = np.arange(1000, dtype=np.int32), np.array([7], np.uint64)
     shuffle(order, state)
     assert sorted(order) == list(range(1000))
     assert np.mean(order == np.arange(1000)) < 0.02
