@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -112,21 +113,32 @@ def reoptimize_online(
     local = np.ascontiguousarray(weights[region.neurons] - middle, dtype=np.float32)
     parts = _parts(submap[region.neurons], region, middle, seed)
     workers = workers or os.cpu_count() or 1
-    alone = workers == 1 or len(region.points) < _WORTH_A_THREAD * len(parts.rounds)
+    if len(region.points) < _WORTH_A_THREAD * len(parts.rounds):
+        workers = 1
     shares = [_shared(members, parts.effort, workers) for members in parts.rounds]
-    in_turn = np.concatenate(parts.rounds)
+    all_done = threading.Barrier(workers)
+
+    def work(worker: int, rates: Float) -> None:
+        try:
+            for rate in np.split(rates, len(rates)):
+                for share in shares:
+                    _present_in_turn(share[worker], parts.arrays, local, rate)
+                    all_done.wait()
+        except BaseException:
+            all_done.abort()
+            raise
+
     with ThreadPoolExecutor(workers) as pool:
         for first in range(0, passes, _PASSES_AT_ONCE):
             if stop.is_set():
                 break
             done = np.arange(first, min(first + _PASSES_AT_ONCE, passes)) / max(passes - 1, 1)
             rates = learning_rate_start + (learning_rate_end - learning_rate_start) * done
-            if alone:
-                _present_in_turn(in_turn, parts.arrays, local, rates)
+            if workers == 1:
+                _present_in_turn(np.concatenate(parts.rounds), parts.arrays, local, rates)
             else:
-                for rate in np.split(rates, len(rates)):
-                    for share in shares:
-                        list(pool.map(lambda which: _present_in_turn(which, parts.arrays, local, rate), share))  # noqa: B023
+                for job in [pool.submit(work, worker, rates) for worker in range(workers)]:
+                    job.result()
             progress("re-optimization", first + len(done), passes)
     result = weights.copy()
     result[region.neurons] = local + middle
@@ -198,8 +210,8 @@ def _rounds(shared: csr_array) -> list[Int]:
 
 def _shared(members: Int, effort: Float, workers: int) -> list[Int]:
     """The members of a round for each worker, the largest first to whoever has least to do."""
-    shares: list[list[int]] = [[] for _ in range(min(workers, len(members)))]
-    load = np.zeros(len(shares))
+    shares: list[list[int]] = [[] for _ in range(workers)]
+    load = np.zeros(workers)
     for part in members[np.argsort(-effort[members], kind="stable")].tolist():
         least = int(load.argmin())
         shares[least].append(part)
