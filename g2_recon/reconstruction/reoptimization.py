@@ -26,7 +26,7 @@ Int = NDArray[np.int64]
 
 # Progress is told and the call to stop is heard this often.
 _PASSES_AT_ONCE = 100
-# With fewer points a round it takes longer to wake up threads than to present the points.
+# With fewer points a round a thread would take as long to wake up as to present them.
 _WORTH_A_THREAD = 2000
 
 
@@ -109,12 +109,13 @@ def reoptimize_online(
     region and those joined to them; submaps that share no neuron do it at the same time, so the result does not depend
     on the number of workers.
     """
+    if not len(region.points):
+        return weights.copy()
     middle = region.points.mean(axis=0)
     local = np.ascontiguousarray(weights[region.neurons] - middle, dtype=np.float32)
     parts = _parts(submap[region.neurons], region, middle, seed)
-    workers = workers or os.cpu_count() or 1
-    if len(region.points) < _WORTH_A_THREAD * len(parts.rounds):
-        workers = 1
+    worthwhile = len(region.points) // (_WORTH_A_THREAD * len(parts.rounds))
+    workers = max(1, min(workers or os.cpu_count() or 1, worthwhile))
     shares = [_shared(members, parts.effort, workers) for members in parts.rounds]
     all_done = threading.Barrier(workers)
 

@@ -44,6 +44,11 @@ def test_only_neurons_near_joins_and_their_data_take_part():
     assert row.region(1).neurons.tolist() == [*range(6, 18), *range(18, 30)]
 
 
+def test_joins_are_neighbors_like_any_other_in_the_region():
+    degree = np.asarray(Row().region(0).graph.sum(axis=1)).ravel()
+    assert degree.tolist() == [2, 3, 2] * 4
+
+
 @pytest.mark.parametrize("rule", ["iterative", "batch"])
 def test_neurons_far_from_joins_stay_where_they_are(rule):
     row = Row()
@@ -88,7 +93,7 @@ def test_the_result_does_not_depend_on_threads(monkeypatch):
     row = Row(count=9)
     region = row.region(1)
     alone = reoptimize_online(row.weights, row.submap, region, passes=120, workers=4, **RATES)
-    monkeypatch.setattr(reoptimization, "_WORTH_A_THREAD", 0)
+    monkeypatch.setattr(reoptimization, "_WORTH_A_THREAD", 1)
     for workers in (1, 2, 3):
         threads = reoptimize_online(row.weights, row.submap, region, passes=120, workers=workers, **RATES)
         assert threads.tolist() == alone.tolist()
@@ -116,6 +121,13 @@ def test_a_submap_without_data_of_its_own_does_no_harm():
     row.bmu[row.submap[row.bmu] == 0] = 12
     weights = reoptimize_online(row.weights, row.submap, row.region(0), passes=3, **RATES)
     assert np.isfinite(weights).all()
+
+
+def test_without_any_data_in_the_region_nothing_moves():
+    row = Row()
+    row.bmu[:] = 0
+    weights = reoptimize_online(row.weights, row.submap, row.region(0), passes=3, **RATES)
+    assert weights.tolist() == row.weights.tolist()
 
 
 def test_progress_is_told_to_the_end_and_a_stop_is_heard():

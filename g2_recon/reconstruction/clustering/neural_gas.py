@@ -3,7 +3,8 @@
 """Neural Gas clustering of points (paper, section 3.1).
 
 Martinetz, Berkovich, Schulten, "Neural-gas network for vector quantization and its application to time-series
-prediction", IEEE Transactions on Neural Networks 4(4), 1993; the schedule is that of its section III.
+prediction", IEEE Transactions on Neural Networks 4(4), 1993; the schedule is the one that Fritzke, "Some competitive
+learning methods", 1997, quotes from it, with 40,000 input signals.
 """
 
 from __future__ import annotations
