@@ -171,12 +171,23 @@ class ReconstructionConfig(_Model):
         ge=1,
         le=100_000,
     )
+    clustering: Literal["k_means", "neural_gas"] = _setting(
+        "k_means", "mode paper: how clusters are found; the paper sees virtually no difference between the two"
+    )
+    presentations: int = _setting(
+        40_000, "clustering neural_gas: presentations of single points, in random order", ge=1, le=100_000_000
+    )
     cluster_gap: float = _setting(
         0.4,
         "mode paper: parts of a cluster farther apart than this become clusters of their own",
         "m",
         ge=0.001,
         le=1000,
+    )
+    lattice: Literal["rectangular", "hexagonal", "triangular"] = _setting(
+        "rectangular",
+        "mode paper: neighbors of a neuron; rectangular: four; hexagonal: six, every other row shifted by half a step; "
+        "triangular: four and those along one diagonal, so that meshes are triangles and borders straight",
     )
     rows: int = _setting(10, "mode paper: neurons along one side of each lattice", ge=2, le=200)
     columns: int = _setting(5, "mode paper: neurons along the other side of each lattice", ge=2, le=200)
@@ -194,7 +205,10 @@ class ReconstructionConfig(_Model):
         le=100,
     )
     border_passes: int = _setting(
-        20, "mode paper: passes over the border data in the re-optimization", ge=1, le=100_000
+        0,
+        "iterative rule: presentations of the border data in the re-optimization; 0: as many as passes",
+        ge=0,
+        le=1_000_000,
     )
     seed: int = _setting(0, "seed of everything random", ge=0, le=2**31 - 1)
     workers: int = _setting(0, "threads; 0: one a processor; the result does not depend on it", ge=0, le=1024)

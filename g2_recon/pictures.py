@@ -67,14 +67,21 @@ def draw_mesh(path: str | Path, mesh: Mesh, wire: WireMesh) -> None:
     _save(figure, path)
 
 
-def draw_wire_meshes(path: str | Path, wires: Sequence[WireMesh], titles: Sequence[str]) -> None:
-    """Wire meshes side by side, each under its title."""
-    figure = Figure(figsize=(8 * len(wires), 5), layout="constrained")
+def draw_wire_meshes(
+    path: str | Path, wires: Sequence[WireMesh], titles: Sequence[str], *, elevation: float = 18, height: float = 4
+) -> None:
+    """Wire meshes side by side, each under its title, seen from that many degrees above; height in inches."""
+    figure = Figure(figsize=(7 * len(wires), height), layout="constrained")
     for number, (wire, title) in enumerate(zip(wires, titles, strict=True), start=1):
         axes = figure.add_subplot(1, len(wires), number, projection="3d")
         _draw_wire(axes, wire, title=title)
-        axes.view_init(elev=18, azim=-72)
+        axes.view_init(elev=elevation, azim=-72)
         axes.set_axis_off()
+        limits = (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())
+        # Without axes there is no need for the room that they would take.
+        axes.set_box_aspect([high - low for low, high in limits], zoom=1.25)
+        for lines in axes.collections:
+            lines.set_clip_on(False)
     _save(figure, path)
 
 

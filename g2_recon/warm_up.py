@@ -25,8 +25,9 @@ def warm_up() -> None:
         reconstruct(cloud, ReconstructionConfig())
     triangles = np.eye(3), np.array([[0, 1, 2], [2, 1, 0]])
     score_surface(TrueSurface(*triangles), *triangles, samples=10)
-    for training in ("iterative", "batch"):
-        reconstruct(cloud, ReconstructionConfig(mode="paper", training=training, clusters=4, passes=50))
+    published = ReconstructionConfig(mode="paper", clusters=4, passes=50)
+    for other in ({}, {"training": "batch"}, {"clustering": "neural_gas", "presentations": 100, "passes": 1}):
+        reconstruct(cloud, published.model_copy(update=other))
 
 
 def _corner_of_a_room(*, with_sensor: bool) -> Cloud:

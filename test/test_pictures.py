@@ -44,3 +44,12 @@ def test_ceilings_are_cut_away(tmp_path):
     pictures.draw_mesh(tmp_path / "floor.png", TRIANGLE, NO_WIRE)
     pictures.draw_mesh(tmp_path / "ceiling.png", ceiling, NO_WIRE)
     assert imread(tmp_path / "floor.png").mean() < imread(tmp_path / "ceiling.png").mean()
+
+
+@pytest.mark.parametrize("wires", [[WIRE], [WIRE, NO_WIRE, WIRE]])
+def test_wire_meshes_are_drawn_side_by_side(tmp_path, wires):
+    pictures.draw_wire_meshes(tmp_path / "wires.png", wires, ["one"] * len(wires), elevation=50, height=3)
+    assert share_of_ink(tmp_path / "wires.png") > 0
+    height, width = imread(tmp_path / "wires.png").shape[:2]
+    # Seven inches each, three high.
+    assert width / height == pytest.approx(7 * len(wires) / 3, rel=0.01)

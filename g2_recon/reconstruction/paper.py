@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
@@ -19,8 +20,9 @@ from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.clustering.connectivity import split_disconnected
 from g2_recon.reconstruction.clustering.k_means import centers, k_means
+from g2_recon.reconstruction.clustering.neural_gas import neural_gas
 from g2_recon.reconstruction.joining import join_borders
-from g2_recon.reconstruction.lattice import Lattice, rectangular
+from g2_recon.reconstruction.lattice import Lattice, make_lattice
 from g2_recon.reconstruction.reoptimization import border_region, reoptimize_batch, reoptimize_online
 from g2_recon.reconstruction.result import Reconstruction
 from g2_recon.reconstruction.som import Stop, best_matching_units, spread_over, train_batch, train_online
@@ -42,13 +44,15 @@ _BATCH_WIDTH_END = 0.35
 class Submaps:
     """The trained maps of all clusters as one graph; map k holds the neurons k * n to (k + 1) * n - 1.
 
-    weights: (V, 3) m. submap: (V,). edges: (E, 2). cells: (C, 4). border: (V,) mask. bmu: (N,) neuron of each point.
+    weights: (V, 3) m. submap: (V,). edges: (E, 2). cells: (C, 4) and triangles: (T, 3), see Lattice.
+    border: (V,) mask. bmu: (N,) neuron of each point, of the map of its cluster.
     """
 
     weights: Float
     submap: Int
     edges: Int
     cells: Int
+    triangles: Int
     border: NDArray[np.bool_]
     bmu: Int
 
@@ -66,7 +70,8 @@ def reconstruct_as_published(
     joins = join_borders(submaps.weights, submaps.submap, submaps.edges, submaps.border, theta=config.theta)
     progress("joining", 1, 1)
     weights = reoptimize_borders(cloud.points, submaps, joins, config, progress)
-    mesh = triangulate(cloud, weights, submaps)
+    distance, bmu = cKDTree(weights).query(cloud.points)
+    mesh = triangulate(cloud, weights, submaps, bmu)
     progress("triangulation", 1, 1)
     return Reconstruction(
         wire_mesh=WireMesh(
@@ -79,7 +84,7 @@ def reconstruct_as_published(
         points=len(cloud),
         left_out={},
         clusters=int(label.max()) + 1,
-        quantization_error=float(np.linalg.norm(cloud.points - weights[submaps.bmu], axis=1).mean()),
+        quantization_error=float(distance.mean()),
     )
 
 
@@ -90,7 +95,7 @@ def initial_clustering(points: Float, config: ReconstructionConfig, progress: Pr
     """
     neurons = config.rows * config.columns
     clusters = int(np.clip(len(points) // neurons, 1, config.clusters))
-    label = k_means(points, clusters, seed=config.seed)
+    label = _clusters(points, clusters, config, start=None)
     for done in range(_CLUSTERING_ROUNDS):
         pieces = split_disconnected(points, label, gap=config.cluster_gap, min_points=max(neurons // 4, 4))
         progress("clustering", done + 1, _CLUSTERING_ROUNDS)
@@ -102,9 +107,15 @@ def initial_clustering(points: Float, config: ReconstructionConfig, progress: Pr
                 advice="choose a larger cluster_gap; is the cloud in metres?",
             )
         largest = np.argsort(np.bincount(pieces), kind="stable")[::-1][:clusters]
-        label = k_means(points, clusters, seed=config.seed, start=centers(points, pieces)[largest])
+        label = _clusters(points, clusters, config, start=centers(points, pieces)[largest])
     progress("clustering", _CLUSTERING_ROUNDS, _CLUSTERING_ROUNDS)
     return pieces
+
+
+def _clusters(points: Float, clusters: int, config: ReconstructionConfig, *, start: Float | None) -> Int:
+    if config.clustering == "neural_gas":
+        return neural_gas(points, clusters, seed=config.seed, presentations=config.presentations, start=start)
+    return k_means(points, clusters, seed=config.seed, start=start)
 
 
 def build_submaps(points: Float, label: Int, config: ReconstructionConfig, progress: Progress = silent) -> Submaps:
@@ -112,7 +123,7 @@ def build_submaps(points: Float, label: Int, config: ReconstructionConfig, progr
 
     Each map has its own seed, so the result does not depend on the number of workers.
     """
-    lattice = rectangular(config.rows, config.columns)
+    lattice = make_lattice(config.lattice, config.rows, config.columns)
     members = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
     weights = np.empty((len(members), len(lattice), 3))
     bmu = np.empty(len(points), np.int64)
@@ -129,6 +140,7 @@ def build_submaps(points: Float, label: Int, config: ReconstructionConfig, progr
         submap=np.repeat(np.arange(len(members)), len(lattice)),
         edges=(lattice.edges + offsets).reshape(-1, 2),
         cells=(lattice.cells + offsets).reshape(-1, 4),
+        triangles=(lattice.triangles + offsets).reshape(-1, 3),
         border=np.tile(lattice.border, len(members)),
         bmu=bmu,
     )
@@ -174,20 +186,25 @@ def reoptimize_borders(
         points, submaps.bmu, len(submaps.weights), submaps.edges, joins, width=config.border_width - 1
     )
     if config.training == "batch":
-        return reoptimize_batch(submaps.weights, region, passes=config.border_passes, progress=progress)
+        return reoptimize_batch(submaps.weights, region, passes=config.epochs, progress=progress)
     return reoptimize_online(
         submaps.weights,
+        submaps.submap,
         region,
-        passes=config.border_passes,
+        passes=config.border_passes or config.passes,
         learning_rate_start=config.learning_rate_start,
         learning_rate_end=config.learning_rate_end,
         seed=config.seed,
+        workers=config.workers,
         progress=progress,
     )
 
 
-def triangulate(cloud: Cloud, weights: Float, submaps: Submaps) -> Mesh:
-    """The lattice cells as triangles: "each rectangle is split into two triangles" (section 5)."""
-    faces = split_cells(weights, submaps.cells)
+def triangulate(cloud: Cloud, weights: Float, submaps: Submaps, bmu: Int) -> Mesh:
+    """The meshes of the lattices as triangles: "each rectangle is split into two triangles" (section 5).
+
+    bmu: (N,) neuron of each point of the cloud.
+    """
+    faces = np.concatenate([submaps.triangles, split_cells(weights, submaps.cells)])
     submap = submaps.submap[faces[:, 0]]
-    return Mesh(weights, face_towards_sensor(weights, faces, submap, cloud, submaps.bmu), submap)
+    return Mesh(weights, face_towards_sensor(weights, faces, submap, cloud, bmu), submap)

@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
 
 from g2_recon.reconstruction.clustering.connectivity import split_disconnected
 from g2_recon.reconstruction.clustering.k_means import centers, k_means
+from g2_recon.reconstruction.clustering.neural_gas import _present, neural_gas
 
 
 def blobs(places, count=200, seed=0):
@@ -58,3 +60,57 @@ def test_a_few_stray_points_join_the_nearest_piece_whatever_its_cluster():
 def test_with_nothing_but_strays_nothing_is_lost():
     points = np.arange(12.0).reshape(4, 3)
     assert len(split_disconnected(points, np.zeros(4, np.int64), gap=0.1, min_points=10)) == 4
+
+
+def test_the_kernel_of_neural_gas_follows_the_rule_of_martinetz():
+    """A plain twin that sorts all units and moves all of them."""
+    rng = np.random.default_rng(0)
+    points, start = rng.random((50, 3)), rng.random((30, 3))
+    presented, rates, ranges = rng.integers(0, 50, 400), np.geomspace(0.5, 0.005, 400), np.geomspace(10, 0.01, 400)
+    expected = start.copy()
+    for number, rate, width in zip(presented, rates, ranges, strict=True):
+        rank = np.argsort(np.argsort(np.linalg.norm(expected - points[number], axis=1)))
+        expected += rate * np.exp(-rank / width)[:, None] * (points[number] - expected)
+    units = start.copy()
+    _present(points, presented, units, rates, ranges)
+    # Ranks that are left out would move a unit by 400 * 0.5 * 2e-9 of a metre at most.
+    assert units == pytest.approx(expected, abs=4e-7)
+
+
+def test_neural_gas_finds_separate_groups():
+    label = neural_gas(blobs([(0, 0, 0), (5, 0, 0), (0, 5, 0), (5, 5, 0)]), 4, seed=0, presentations=4000)
+    assert [len(set(part)) for part in label.reshape(4, -1)] == [1, 1, 1, 1]
+    assert len(set(label)) == 4
+
+
+def test_neural_gas_and_k_means_quantize_equally_well():
+    """The paper: "There is virtually no difference between clusters obtained with NG and KM algorithm"."""
+    points = np.random.default_rng(0).random((5000, 3)) * (4, 3, 0)
+    gas, means = neural_gas(points, 30, seed=0, presentations=40_000), k_means(points, 30, seed=0)
+    error = [np.linalg.norm(points - centers(points, label)[label], axis=1).mean() for label in (gas, means)]
+    assert error[0] == pytest.approx(error[1], rel=0.03)
+
+
+def test_labels_of_neural_gas_have_no_gaps_where_points_coincide():
+    label = neural_gas(np.repeat(np.eye(3), 10, axis=0), 8, seed=0, presentations=500)
+    assert sorted(set(label)) == list(range(len(set(label))))
+    assert len(set(label)) <= 8
+
+
+def test_neural_gas_takes_more_clusters_than_points():
+    points = np.arange(12.0).reshape(4, 3)
+    assert set(neural_gas(points, 9, seed=0, presentations=50)) <= {0, 1, 2, 3}
+
+
+def test_the_same_seed_gives_the_same_gas_wherever_on_earth():
+    points = np.random.default_rng(0).random((500, 3))
+    # So far out a metre is still good to 1e-9.
+    here, there = (neural_gas(points + far, 10, seed=3, presentations=2000) for far in (0.0, 2.0**20))
+    assert here.tolist() == neural_gas(points, 10, seed=3, presentations=2000).tolist()
+    assert np.mean(here == there) > 0.99
+
+
+def test_neural_gas_keeps_a_start_that_is_in_order():
+    places = np.array([(0, 0, 0), (5, 0, 0), (0, 5, 0)], float)
+    label = neural_gas(blobs(places), 3, seed=0, presentations=600, start=places)
+    assert label.reshape(3, -1).tolist() == [[0] * 200, [1] * 200, [2] * 200]

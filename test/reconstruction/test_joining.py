@@ -5,7 +5,6 @@ import pytest
 
 from g2_recon.reconstruction.joining import join_borders, mean_neighbor_distance
 from g2_recon.reconstruction.lattice import rectangular
-from g2_recon.reconstruction.reoptimization import border_region, reoptimize_batch, reoptimize_online
 
 
 def side_by_side(gap, count=2, shift=0.0):
@@ -58,44 +57,3 @@ def test_each_neuron_has_at_most_one_candidate_in_each_other_submap():
 def test_mean_neighbor_distance_of_a_square_lattice_is_its_cell():
     weights, _, edges, _ = side_by_side(gap=1.0)
     assert mean_neighbor_distance(weights, edges) == pytest.approx(1.0)
-
-
-@pytest.fixture
-def flat_data():
-    rng = np.random.default_rng(0)
-    weights, submap, edges, border = side_by_side(gap=1.0)
-    points = np.column_stack([5 * rng.random(2000) - 0, 2 * rng.random(2000), np.zeros(2000)])
-    bmu = np.linalg.norm(points[:, None] - weights[None], axis=2).argmin(axis=1)
-    joins = join_borders(weights, submap, edges, border, theta=1.8)
-    return points, bmu, weights, edges, joins
-
-
-def test_the_region_holds_the_neurons_near_joins_and_their_data_only(flat_data):
-    points, bmu, weights, edges, joins = flat_data
-    region = border_region(points, bmu, len(weights), edges, joins, width=0)
-    assert region.neurons.tolist() == [6, 7, 8, 9, 10, 11]
-    assert len(region.points) == np.isin(bmu, region.neurons).sum()
-    assert region.neurons[region.bmu].tolist() == bmu[np.isin(bmu, region.neurons)].tolist()
-    wider = border_region(points, bmu, len(weights), edges, joins, width=1)
-    assert wider.neurons.tolist() == list(range(3, 15))
-
-
-def test_joins_are_neighbors_like_any_other_in_the_region(flat_data):
-    points, bmu, weights, edges, joins = flat_data
-    region = border_region(points, bmu, len(weights), edges, joins, width=0)
-    degree = np.asarray(region.graph.sum(axis=1)).ravel()
-    assert degree.tolist() == [2, 3, 2, 2, 3, 2]
-
-
-@pytest.mark.parametrize("rule", ["online", "batch"])
-def test_reoptimization_moves_only_the_region_and_fits_its_data_better(flat_data, rule):
-    points, bmu, weights, edges, joins = flat_data
-    bent = weights + np.where(np.isin(np.arange(18), [6, 7, 8, 9, 10, 11])[:, None], [0, 0, 0.3], 0)
-    region = border_region(points, bmu, len(weights), edges, joins, width=0)
-    if rule == "online":
-        result = reoptimize_online(bent, region, passes=20, learning_rate_start=0.5, learning_rate_end=0.005, seed=0)
-    else:
-        result = reoptimize_batch(bent, region, passes=20)
-    moved = np.flatnonzero((result != bent).any(axis=1))
-    assert set(moved) <= set(region.neurons)
-    assert np.abs(result[region.neurons, 2]).max() < 0.01
