@@ -257,7 +257,7 @@ def _refit_narrow(
 ) -> None:
     """Where the neighbors of a point do not lie on one plane, take the plane of the nearest ones if these do.
 
-    On a beam, a jamb or another face not much wider than the neighborhood, all wider neighborhoods bend round its edges.
+    On a beam, a jamb or another face not much wider than the neighborhood, wider neighborhoods bend round its edges.
     """
     rows = np.flatnonzero(local.spans & (local.deviation > _ROUGH * noise))
     if not len(rows) or noise > _NOISY * radius:
