@@ -29,6 +29,9 @@ _END = 0.98
 _BEYOND = 1.0
 _FARTHEST_BEYOND = 0.35
 
+# What closes a hole may turn away from the surface around it by acos(0.2) = 78 deg.
+_LEAST_AGREEMENT = 0.2
+
 # How much of its way from home a vertex keeps, round by round, while one of its faces crosses another one.
 _KEPT_OF_WAY = (0.5, 0.5, 0.5, 0.0, 0.0)
 
@@ -259,6 +262,8 @@ def fill_small_loops(
     triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size)
     support = np.bincount(loop, supported(vertices, triangles, grid, support_distance), len(loops))
     accepted = support > support_share * np.maximum(size - 2, 1)
+    aside = ~_goes_on(vertices, triangles, _vertex_normals(vertices, faces))
+    accepted &= np.bincount(loop, aside, len(loops)) == 0
     accepted &= ~_backs(faces, loops, size, len(vertices))
     accepted &= _keeps_manifold(faces, triangles, loop, size, accepted, len(vertices))
     while True:
@@ -269,6 +274,20 @@ def fill_small_loops(
         if not len(crossing):
             return np.asarray(triangles[chosen])
         accepted[loop[chosen][crossing]] = False
+
+
+def _goes_on(vertices: Float, triangles: Int, normals: Float) -> Mask:
+    """Mask (T,) of the triangles that go on with the surface around them, unlike a lid across the end of a column.
+
+    They face within 78 deg of the normals (V, 3) of the vertices at their corners, on average of the three.
+    """
+    normal = _unit(_area_vectors(vertices, triangles))
+    return np.asarray(np.einsum("ti,tki->t", normal, _unit(normals)[triangles]) / 3 > _LEAST_AGREEMENT)
+
+
+def _unit(vectors: Float) -> Float:
+    """Vectors (N, 3) of length one, or zero as they were."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
 def _backs(faces: Int, loops: Int, size: Int, count: int) -> Mask:

@@ -151,10 +151,10 @@ def triangulate(
     joins = join_submaps(
         neurons, normals, cells, grid, reach=_REACH * config.theta * edge, spacing=edge, support_distance=near
     )
-    creased = insert_creases(neurons, np.concatenate([cells, joins]), normals, submaps.center[used], submap)
-    vertices, faces = creased.vertices, creased.faces
-    face_submap = submap[np.concatenate([cells, joins])[creased.origin, 0]]
-    faces, face_submap = _filled(vertices, faces, face_submap, grid, near)
+    joined = np.concatenate([cells, joins])
+    joined, joined_submap = _filled(neurons, joined, submap[joined[:, 0]], grid, near)
+    creased = insert_creases(neurons, joined, normals, submaps.center[used], submap)
+    vertices, faces, face_submap = creased.vertices, creased.faces, joined_submap[creased.origin]
     # Without a normal a crease vertex moves along its crease only.
     normals = np.concatenate([normals, np.zeros((len(vertices) - len(normals), 3))])
     bent = submaps.bent[submap]
