@@ -5,17 +5,18 @@
 A building is a list of convex parts, each solid or free; a later part replaces what was in its place. So walls may have
 any direction, roofs pitch, ceilings vault and columns be round, which the boxes of g2_recon.simulation cannot.
 
-Usage: python benchmarks/clouds.py NAME [FILE.npz], such as `offices` or `hall_s3`; writes points, sensor, the noise-free
-hits and the true surface.
+Usage: python benchmarks/clouds.py NAME [FILE.npz] with a name such as `offices` or `hall_s3`. Writes points, sensor,
+the noise-free hits and the true surface.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.simulation.lms200 import Lms200
 
 Float = NDArray[np.float64]
@@ -198,7 +199,7 @@ def surface(parts: Parts) -> tuple[Float, Int]:
 
 
 def refined(vertices: Float, faces: Int, longest: float = 1.0) -> tuple[Float, Int]:
-    """The same surface with no edge longer than `longest` metres: in single precision, slivers have no closest point."""
+    """The same surface with no edge longer than this, in metres: single precision finds no closest point on slivers."""
     corners, done = vertices[faces], []
     while len(corners):
         lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
@@ -266,9 +267,9 @@ def _on_boundary(point: Float, part: Convex) -> bool:
 def _state(point: Float, parts: Parts) -> int:
     """What is at a point: what the last part there says."""
     for part, state in reversed(parts):
-        if (part.low < point).all() and (point < part.high).all():
-            if (part.planes[:, :3] @ point + part.planes[:, 3] < 0).all():
-                return state
+        near = (part.low < point).all() and (point < part.high).all()
+        if near and (part.planes[:, :3] @ point + part.planes[:, 3] < 0).all():
+            return state
     return OUTSIDE
 
 
@@ -287,7 +288,7 @@ def _cast(corners: Float, poses: Float, angles: Float, distances: Float) -> None
     """A scan is a slice: the plane of the beams cuts a triangle in a segment, which covers an interval of angles."""
     across, u, v = np.empty(3), np.empty(2), np.empty(2)
     spacing = angles[1] - angles[0]
-    turn = int(round(2 * np.pi / spacing))
+    turn = round(2 * np.pi / spacing)
     for scan in range(len(poses)):
         x, y, z, origin = poses[scan, :3, 0], poses[scan, :3, 1], poses[scan, :3, 2], poses[scan, :3, 3]
         for face in range(len(corners)):
@@ -353,9 +354,8 @@ def drive(way: Sequence[Point], step: float, height: float) -> Float:
     return poses
 
 
-def scan(parts: Parts, way: Sequence[Point], survey: Survey) -> Scanned:
+def scan(vertices: Float, faces: Int, way: Sequence[Point], survey: Survey) -> Scanned:
     """Drive through a building and scan it. The same survey gives the same cloud."""
-    vertices, faces = surface(parts)
     rng = np.random.default_rng(survey.seed)
     laser = Lms200(survey.beam_spacing, 8, survey.noise, survey.outliers > 0)
     angles = laser.angles()
@@ -585,6 +585,13 @@ def curved() -> tuple[Parts, list[Point]]:
     return parts, way
 
 
+@functools.cache
+def built(name: str) -> tuple[Float, Int, tuple[Point, ...]]:
+    """Vertices and faces of a building, and the way through it."""
+    parts, way = BUILDINGS[name]()
+    return *surface(parts), tuple(way)
+
+
 BUILDINGS: dict[str, Callable[[], tuple[Parts, list[Point]]]] = {
     building.__name__: building for building in (offices, hall, corridor, slanted, curved)
 }
@@ -610,8 +617,67 @@ def make(name: str, seed: int = 0) -> Scanned:
     changes: dict[str, float | bool] = {}
     for variant in variants:
         changes |= VARIANTS[variant]
-    assert changes.keys() <= {field.name for field in fields(Survey)}
-    return scan(*BUILDINGS[building](), Survey(**changes, seed=seed))  # type: ignore[arg-type]
+    return scan(*built(building), Survey(**changes, seed=seed))  # type: ignore[arg-type]
+
+
+def two_cubes(spacing: float = 0.1) -> Scanned:
+    """The paper's two unit cubes, 0.5 m apart, free of noise: 11 x 11 points on each of their sides (section 4)."""
+    grid = np.linspace(0, 1, round(1 / spacing) + 1)
+    u, v = (along.ravel() for along in np.meshgrid(grid, grid))
+    sides = [np.insert(np.column_stack([u, v]), axis, end, axis=1) for axis in range(3) for end in (0.0, 1.0)]
+    one = np.concatenate(sides)
+    parts = [(box((-1, 4), (-1, 2), (-1, 2)), FREE), *((box((x, x + 1), (0, 1), (0, 1)), SOLID) for x in (0.0, 1.5))]
+    points = np.concatenate([one, one + [1.5, 0, 0]])
+    return Scanned(points, None, points, *surface(parts))
+
+
+def solids(noise: float = 0.01, count: int = 40_000, seed: int = 0) -> Scanned:
+    """A sphere (radius 1 m) beside a torus (1 m and 0.35 m), evenly sampled and seen from 2 m before the surface."""
+    rng = np.random.default_rng(seed)
+    pieces = [_grid(_sphere, 120, 240), _grid(_torus, 120, 360)]
+    vertices = np.concatenate([piece[0] for piece in pieces])
+    faces = np.concatenate([pieces[0][1], pieces[1][1] + len(pieces[0][0])])
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    normal = np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)
+    face = rng.choice(len(faces), count, p=area / area.sum())
+    uv = rng.random((count, 2))
+    uv[uv.sum(axis=1) > 1] = 1 - uv[uv.sum(axis=1) > 1]
+    clean = a[face] + uv[:, :1] * (b - a)[face] + uv[:, 1:] * (c - a)[face]
+    outward = normal[face] / area[face, None]
+    return Scanned(clean + rng.normal(0, noise, (count, 1)) * outward, clean + 2 * outward, clean, vertices, faces)
+
+
+def _grid(shape: Callable[[Float, Float], Float], rows: int, columns: int) -> tuple[Float, Int]:
+    """Triangles over a shape of two parameters from 0 to 1, the outside to the front."""
+    u, v = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
+    vertices = shape(u.ravel(), v.ravel())
+    corner = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
+    right, below_it = corner + 1, corner + columns + 1
+    faces = np.concatenate(
+        [np.column_stack([corner, below_it, right]), np.column_stack([right, below_it, below_it + 1])]
+    )
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return vertices, faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > _SLIVER]
+
+
+def _sphere(u: Float, v: Float) -> Float:
+    polar, around = math.pi * u, 2 * math.pi * v
+    return np.column_stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)])
+
+
+def _torus(u: Float, v: Float) -> Float:
+    tube, around = -2 * math.pi * u, 2 * math.pi * v
+    out = 1 + 0.35 * np.cos(tube)
+    return np.column_stack([3 + out * np.cos(around), out * np.sin(around), 0.35 * np.sin(tube)])
+
+
+def tiled(cloud: Cloud, copies: int, gap: float = 1.0) -> Cloud:
+    """Copies of a cloud side by side, `gap` metres apart, on a square as far as they go."""
+    across = math.ceil(math.sqrt(copies))
+    size = np.ptp(cloud.points, axis=0) + gap
+    shifts = [(*divmod(copy, across), 0) * size for copy in range(copies)]
+    return concatenate([Cloud(cloud.points + s, None if cloud.sensor is None else cloud.sensor + s) for s in shifts])
 
 
 if __name__ == "__main__":
