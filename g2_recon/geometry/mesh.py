@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""What reconstruction makes: a wire mesh of neurons and a mesh of triangles."""
+"""What reconstruction makes, a wire mesh of neurons and a mesh of triangles, and the surface that it should find."""
 
 from __future__ import annotations
 
@@ -41,3 +41,15 @@ class Mesh:
         normal = np.cross(second - first, third - first)
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         return normal / np.where(length > 0, length, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class TrueSurface:
+    """The exact surface of what was measured. vertices: (V, 3) metres. faces: (F, 3) vertex indices.
+
+    seen: (N, 3) metres, where beams met it, free of noise; None where all of it counts as seen.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    seen: NDArray[np.float64] | None = None
