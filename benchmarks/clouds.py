@@ -248,10 +248,12 @@ def _area(polygon: Sequence[Float]) -> float:
 
 def _divide(polygon: Float, by: Convex) -> Iterator[Float]:
     """The pieces of a convex polygon outside and inside of a part."""
-    if (polygon.min(axis=0) > by.high + _TOLERANCE).any() or (polygon.max(axis=0) < by.low - _TOLERANCE).any():
+    distances = polygon @ by.planes[:, :3].T + by.planes[:, 3]
+    beyond = distances.max(axis=0) > _TOLERANCE
+    if (beyond & (distances.min(axis=0) >= -_TOLERANCE)).any():
         yield polygon
         return
-    for plane in by.planes:
+    for plane in by.planes[beyond]:
         polygon, outside = _cut(polygon, plane[:3], plane[3])
         if len(outside):
             yield outside
