@@ -30,6 +30,7 @@ import peers
 import trimesh
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -324,6 +325,7 @@ def table_growth(bench: Bench) -> Table:
                 "copies": copies,
                 "points": f"{cost['points']:,}",
                 **cost_of(cost),
+                "CPU s": f"{cost['cpu_seconds']:.1f}",
                 "us a point": f"{1e6 * cost['seconds'] / cost['points']:.1f}",
                 "faces": f"{len(faces):,}",
             }
@@ -347,45 +349,47 @@ def draw_growth(path: Path, counts: Sequence[int], seconds: Sequence[float], pea
         axes.loglog(counts, values, "o-", label="measured")
         axes.loglog(counts, [values[0] * count / counts[0] for count in counts], "--", label="as the points grow")
         axes.axhline(limit, color="tab:red", lw=0.8, label=f"{limit} {unit}")
-        axes.set(xlabel="points", ylabel="time [s]" if unit == "s" else "peak memory [MB]")
-        axes.grid(which="both", alpha=0.3)
+        axes.set(xlabel="thousand points", ylabel="time [s]" if unit == "s" else "peak memory [MB]")
+        axes.set_xticks(counts, [f"{count / 1000:.0f}" for count in counts])
+        axes.set_xticks([], minor=True)
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.grid(alpha=0.3)
         axes.legend()
     figure.savefig(path, dpi=100)
 
 
 def table_files(bench: Bench) -> Table:
     """Meshes of others, sampled with noise, and real scans of a room."""
-    solids, rooms, drawn = [], [], []
+    solids, rooms, drawn = [], [], {}
     for name in ("stanford-bunny", "fandisk", "rocker-arm"):
         path = bench.shared("meshes", f"{name}.obj.gz")
-        if not path:
-            continue
-        log.info("files: %s", name)
-        scanned = sampled(path, count=100_000)
-        result = reconstruct(scanned.cloud(), ReconstructionConfig(spacing=0.1))
-        row = figures(bench, scanned, result.mesh.vertices, result.mesh.faces)
-        solids.append({"mesh": name, "points": f"{len(scanned.points):,}"} | row)
-        drawn.append(f"{name}.png")
-        pictures.draw_mesh(bench.out / drawn[-1], result.mesh, result.wire_mesh)
-    for number in (1, 2):
-        path = bench.shared("sweeps", "pcl_room", f"room_scan{number}.pcd")
-        if not path:
-            continue
-        log.info("files: %s", path.name)
-        cloud = read_cloud(path)
-        result = reconstruct(cloud, ReconstructionConfig())
-        row = {"faces": f"{len(result.mesh.faces):,}"} | soundness(bench, result.mesh.vertices, result.mesh.faces)
-        rooms.append({"scan": path.name, "points": f"{len(cloud):,}", "of them used": f"{result.points:,}"} | row)
-        drawn.append(f"{path.stem}.png")
-        pictures.draw_mesh(bench.out / drawn[-1], result.mesh, result.wire_mesh)
+        if path:
+            log.info("files: %s", name)
+            scanned = sampled(path, count=100_000)
+            drawn[name] = mesh = reconstruct(scanned.cloud(), ReconstructionConfig(spacing=0.1)).mesh
+            row = figures(bench, scanned, mesh.vertices, mesh.faces)
+            solids.append({"mesh": name, "points": f"{len(scanned.points):,}"} | row)
+    for name in ("room_scan1", "room_scan2"):
+        path = bench.shared("sweeps", "pcl_room", f"{name}.pcd")
+        if path:
+            log.info("files: %s", name)
+            cloud = read_cloud(path)
+            result = reconstruct(cloud, ReconstructionConfig())
+            drawn[name] = mesh = result.mesh
+            row = {"faces": f"{len(mesh.faces):,}"} | soundness(bench, mesh.vertices, mesh.faces)
+            rooms.append({"scan": name, "points": f"{len(cloud):,}", "of them used": f"{result.points:,}"} | row)
     note = (
         "Meshes scaled to a diagonal of 10 m, sampled evenly with normal noise of 1 cm (0.1 %), without sensor "
         "positions, at a spacing of 10 cm; then two real scans of a room, at the defaults. Columns as above; of the "
-        "room no truth is known."
+        "room no truth is known. The bunny is from the Stanford 3D Scanning Repository, the room from the Point Cloud "
+        "Library."
     )
-    if not (solids or rooms):
-        note = "Nothing to do without --data."
-    return Table("Meshes and scans from files", note, {"Sampled meshes": solids, "Room": rooms}, drawn)
+    if not drawn:
+        return Table("Meshes and scans from files", "Not made: this needs --data.", {})
+    pictures.draw_meshes(bench.out / "files.png", list(drawn.values()), list(drawn))
+    return Table("Meshes and scans from files", note, {"Sampled meshes": solids, "Room": rooms}, ["files.png"])
 
 
 def sampled(path: Path, count: int) -> clouds.Scanned:
