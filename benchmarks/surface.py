@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All tables of docs/benchmarks.md: how good, fast and large the meshes are, ours beside those of other programs.
 
-Usage: python benchmarks/surface.py [--data FOLDER] [--only TABLE ...] [--quick] [--out FOLDER] [--peers-python PYTHON]
+Usage: python benchmarks/surface.py [--data FOLDER] [--only TABLE ...] [--clouds NAME ...] [--quick]
+       [--out FOLDER] [--peers-python PYTHON]
 
 Writes benchmarks.md, a JSON file a table and pictures to the folder. benchmarks.md is put together from all tables that
 lie there, so that one can be made anew. Programs that are not installed are left out, and named.
@@ -11,6 +12,7 @@ lie there, so that one can be made anew. Programs that are not installed are lef
 from __future__ import annotations
 
 import argparse
+import functools
 import gzip
 import io
 import json
@@ -19,7 +21,7 @@ import os
 import platform
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -89,11 +91,12 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """What all tables need. methods: those installed; has_meshlab: whether pymeshlab is."""
+    """What all tables need. clouds: for table peers, empty for all. methods: those installed."""
 
     data: Path | None
     out: Path
     quick: bool
+    clouds: tuple[str, ...]
     peers_python: str
     methods: tuple[peers.Method, ...]
     has_meshlab: bool
@@ -172,21 +175,16 @@ def cost_of(cost: dict[str, Any]) -> Row:
     return {"s": f"{cost['seconds']:.1f}", "MB": f"{cost['peak_mb']:.0f}"}
 
 
-def generated(bench: Bench) -> Iterator[tuple[str, clouds.Scanned]]:
+def generated() -> dict[str, Callable[[], clouds.Scanned]]:
     """The clouds that are made here."""
-    for name in ("offices_half",) if bench.quick else tuple(clouds.BUILDINGS):
-        yield name, clouds.make(name)
-    yield "two cubes", clouds.two_cubes()
-    if not bench.quick:
-        yield "sphere and torus", clouds.solids()
+    buildings = {name: functools.partial(clouds.make, name) for name in clouds.BUILDINGS}
+    return buildings | {"two cubes": clouds.two_cubes, "sphere and torus": clouds.solids}
 
 
-def shared(bench: Bench, names: Sequence[str] = SHARED) -> Iterator[tuple[str, clouds.Scanned]]:
+def shared(bench: Bench, names: Sequence[str] = SHARED) -> dict[str, Callable[[], clouds.Scanned]]:
     """The clouds in --data."""
-    for name in names:
-        path = bench.shared("surfaces", f"{name}.npz")
-        if path:
-            yield name, load(path)
+    paths = {name: bench.shared("surfaces", f"{name}.npz") for name in names}
+    return {name: functools.partial(load, path) for name, path in paths.items() if path}
 
 
 def ours() -> peers.Method:
@@ -197,7 +195,13 @@ def ours() -> peers.Method:
 def table_peers(bench: Bench) -> Table:
     """Ours beside other programs on all clouds."""
     sections: dict[str, list[Row]] = {}
-    for name, scanned in (*shared(bench), *generated(bench)):
+    sources = shared(bench) | generated()
+    if bench.quick:
+        sources = {"offices_half": functools.partial(clouds.make, "offices_half"), "two cubes": clouds.two_cubes}
+    for name, made in sources.items():
+        if bench.clouds and name not in bench.clouds:
+            continue
+        scanned = made()
         rows = sections[f"{name}: {len(scanned.points):,} points"] = []
         for method in bench.methods:
             log.info("peers: %s, %s", name, method.name)
@@ -244,7 +248,7 @@ _STEADY = ("F5", "F2", "acc", "comp", "normals", "faces", "loops", "cross")
 def table_steadiness(bench: Bench) -> Table:
     """Ours with other seeds, on turned and on shuffled clouds."""
     sections: dict[str, list[Row]] = {}
-    sources = list(shared(bench, ("floor_rot",)))
+    sources = [(name, made()) for name, made in shared(bench, ("floor_rot",)).items()]
     sources += [(name, clouds.make(name)) for name in (("offices_half",) if bench.quick else ("offices", "hall"))]
     for name, scanned in sources:
         runs = {
@@ -301,9 +305,12 @@ def shuffled(scanned: clouds.Scanned, seed: int) -> clouds.Scanned:
 def table_fine(bench: Bench) -> Table:
     """Small things, at a spacing of 12 cm."""
     rows = []
-    sources = {"two cubes": clouds.two_cubes(), "sphere and torus": clouds.solids()}
-    for name, scanned in (*shared(bench, ("cubes", "curved")), *sources.items()):
+    sources = shared(bench) | generated()
+    for name in SPACINGS:
+        if name not in sources:
+            continue
         log.info("fine: %s", name)
+        scanned = sources[name]()
         vertices, faces, cost = bench.mesh_of(ours(), scanned.cloud(), spacing=0.12, repeats=3)
         rows.append({"cloud": name} | cost_of(cost) | figures(bench, scanned, vertices, faces))
     return Table("Cubes and curved solids, spacing 12 cm", "Columns as above.", {"": rows})
@@ -454,6 +461,7 @@ def main() -> None:
         "--only", nargs="+", choices=TABLES, default=list(TABLES), metavar="TABLE", help=", ".join(TABLES)
     )
     parser.add_argument("--quick", action="store_true", help="few and small clouds, to see that it runs")
+    parser.add_argument("--clouds", nargs="+", default=(), metavar="NAME", help="table peers of these clouds only")
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks"))
     parser.add_argument("--peers-python", default=sys.executable, help="the Python that has open3d and pymeshlab")
     given = parser.parse_args()
@@ -466,6 +474,7 @@ def main() -> None:
             data=given.data,
             out=given.out,
             quick=given.quick,
+            clouds=tuple(given.clouds),
             peers_python=given.peers_python,
             methods=tuple(method for method in peers.METHODS.values() if installed[method.needs]),
             has_meshlab=installed["pymeshlab"],
