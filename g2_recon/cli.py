@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import json
 import logging
 import os
 import re
@@ -28,14 +30,17 @@ from g2_recon.config import (
     SimulationConfig,
 )
 from g2_recon.errors import ConfigError, G2ReconError, InputError
-from g2_recon.evaluation.relations import read_relations, score_relations
+from g2_recon.evaluation.relations import RelationsScore, read_relations, score_relations
+from g2_recon.evaluation.surface import SurfaceScore, score_surface
 from g2_recon.evaluation.trajectory_error import mean_position_error
+from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.reconstruction.reconstructor import Reconstruction
 from g2_recon.recording.bags import write_bag
 from g2_recon.recording.clouds import read_cloud
-from g2_recon.recording.files import write_arrays
-from g2_recon.recording.meshes import MESH_ENDINGS, write_mesh, write_wire_mesh
+from g2_recon.recording.files import write_text
+from g2_recon.recording.meshes import MESH_ENDINGS, read_mesh, write_mesh, write_wire_mesh
 from g2_recon.recording.recordings import read_recording
+from g2_recon.recording.surfaces import read_true_surface, write_true_surface
 from g2_recon.recording.trajectories import read_tum, write_tum
 from g2_recon.simulation.simulator import simulate
 from g2_recon.terminal import StageProgress, print_paths, print_table, stages
@@ -44,6 +49,13 @@ BUNDLED_RECORDING = "first_floor"
 TRUTH_TRAJECTORY = Path("truth") / "trajectory.tum"
 TRUTH_PERIOD_S = 0.04
 TRUTH_SURFACES = Path("truth") / "surfaces.npz"
+
+_RELATIONS_TEXT = """Mean and standard deviation of the error over true relations (Kuemmerle et al., 2009), translation
+in m and rotation in deg. Relations without a pose within 50 ms of both stamps are counted as missed."""
+_SURFACE_TEXT = """Distances in cm, mean and 95 % quantile, from the mesh to the truth (accuracy) and from the truth to
+the mesh (completeness); shares in % of the mesh (precision) and of the truth (recall) that are nearer than 5 and 2 cm,
+and their harmonic mean (F-score); mean |cos| of the angle between normals; how the faces hang together. Truth farther
+than 10 cm from all that was seen does not count."""
 
 _NEGATIVE_NUMBER = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 
@@ -130,10 +142,7 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
         **{f"dropped: {reason}": count for reason, count in recording.drops.items()},
     }
     if relations is not None:
-        score = score_relations(relations, result.trajectory)
-        rows["relations"] = f"{score.relations:,} ({score.missed:,} missed)"
-        rows["translation error"] = f"{score.translation_mean:.4f} +- {score.translation_std:.4f} m"
-        rows["rotation error"] = f"{score.rotation_mean:.3f} +- {score.rotation_std:.3f} deg"
+        rows |= _relations_rows(score_relations(relations, result.trajectory))
     print_table("localized", rows, progress, console)
     print_paths({"trajectory": target, "floor plan": plan}, console)
 
@@ -186,7 +195,8 @@ def run_simulate(options: argparse.Namespace, console: Console) -> None:
         }
         write_bag(options.output, simulation.recording, description=description, overwrite=options.force)
         write_tum(options.output / TRUTH_TRAJECTORY, simulation.trajectory.resampled(TRUTH_PERIOD_S))
-        write_arrays(options.output / TRUTH_SURFACES, truth_vertices=simulation.vertices, truth_faces=simulation.faces)
+        surface = TrueSurface(simulation.vertices, simulation.faces, simulation.clean_vertical)
+        write_true_surface(options.output / TRUTH_SURFACES, surface)
         progress("writing", 1, 1)
     recording = simulation.recording
     rows = {
@@ -198,6 +208,43 @@ def run_simulate(options: argparse.Namespace, console: Console) -> None:
     }
     print_table("simulated", rows, progress, console)
     print_paths({"bag": options.output}, console)
+
+
+def run_evaluate_relations(options: argparse.Namespace, console: Console) -> None:
+    """Score a trajectory by true relations."""
+    _check_json(options, [options.relations, options.trajectory])
+    with stages(console) as progress:
+        relations, trajectory = read_relations(options.relations), read_tum(options.trajectory)
+        progress("reading", 1, 1)
+        score = score_relations(relations, trajectory)
+        progress("scoring", 1, 1)
+    _write_score(options, dataclasses.asdict(score))
+    print_table("relations", _relations_rows(score), progress, console)
+
+
+def run_evaluate_surface(options: argparse.Namespace, console: Console) -> None:
+    """Score a mesh by the true surface."""
+    _check_json(options, [options.truth, options.mesh, options.seen])
+    with stages(console) as progress:
+        truth = read_true_surface(options.truth)
+        vertices, faces = read_mesh(options.mesh)
+        if options.seen is not None:
+            truth = dataclasses.replace(truth, seen=read_cloud(options.seen).finite().points)
+        progress("reading", 1, 1)
+        score = score_surface(truth, vertices, faces, workers=0, progress=progress)
+    _write_score(options, dataclasses.asdict(score))
+    print_table("surface", _surface_rows(score), progress, console)
+
+
+def _check_json(options: argparse.Namespace, inputs: Sequence[Path | None]) -> None:
+    if options.json is not None:
+        _check_files([options.json], inputs=inputs)
+
+
+def _write_score(options: argparse.Namespace, score: Mapping[str, Any]) -> None:
+    """The score in a JSON file, in metres and degrees, shares from 0 to 1."""
+    if options.json is not None:
+        write_text(options.json, json.dumps(score, indent=2) + "\n")
 
 
 def _check_files(files: Sequence[Path], *, inputs: Sequence[Path | None] = ()) -> None:
@@ -287,6 +334,42 @@ def _reconstruction_rows(result: Reconstruction) -> dict[str, Any]:
     }
 
 
+def _relations_rows(score: RelationsScore) -> dict[str, Any]:
+    return {
+        "relations": f"{score.relations:,} ({score.missed:,} missed)",
+        "translation error": f"{score.translation_mean:.4f} +- {score.translation_std:.4f} m",
+        "rotation error": f"{score.rotation_mean:.3f} +- {score.rotation_std:.3f} deg",
+    }
+
+
+def _surface_rows(score: SurfaceScore) -> dict[str, Any]:
+    rows = {
+        "accuracy": f"{100 * score.accuracy:.2f} cm",
+        "accuracy, 95 %": f"{100 * score.accuracy_95:.2f} cm",
+        "completeness": f"{100 * score.completeness:.2f} cm",
+        "completeness, 95 %": f"{100 * score.completeness_95:.2f} cm",
+    }
+    for at in score.at:
+        rows |= {
+            f"precision at {100 * at.threshold:g} cm": f"{100 * at.precision:.2f} %",
+            f"recall at {100 * at.threshold:g} cm": f"{100 * at.recall:.2f} %",
+            f"F-score at {100 * at.threshold:g} cm": f"{100 * at.f_score:.2f} %",
+        }
+    topology = score.topology
+    return {
+        **rows,
+        "normals": f"{score.normals:.4f}",
+        "faces": f"{topology.faces:,}",
+        "vertices": f"{topology.vertices:,}",
+        "components": f"{topology.components:,}",
+        "boundary edges": f"{topology.boundary_edges:,}",
+        "boundary loops": f"{topology.loops:,}",
+        "non-manifold edges": f"{topology.nonmanifold_edges:,}",
+        "non-manifold vertices": f"{topology.nonmanifold_vertices:,}",
+        "self-intersecting faces": f"{100 * topology.self_intersecting:.2f} %",
+    }
+
+
 # The command line, made from the settings
 
 
@@ -298,8 +381,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"g2-recon {g2_recon.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    def add(name: str, command: Any, text: str, details: str = "") -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, parents=[common], help=text, description=details or text)
+    def add(name: str, command: Any, text: str, details: str = "", to: Any = commands) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = to.add_parser(name, parents=[common], help=text, description=details or text)
         sub.set_defaults(command=command, parser=sub)
         # That of Python 3.11 takes -1.5e-1 for an option.
         sub._negative_number_matcher = _NEGATIVE_NUMBER
@@ -350,6 +433,37 @@ def build_parser() -> argparse.ArgumentParser:
     )
     simulator.add_argument("--force", action="store_true", help="replace what is there")
     _add_settings(simulator, SimulationConfig, "simulation")
+
+    evaluate = commands.add_parser(
+        "evaluate", help="how good a trajectory or a mesh is", description="How good a trajectory or a mesh is."
+    )
+    scores = evaluate.add_subparsers(required=True, metavar="SCORE")
+    relations = add("relations", run_evaluate_relations, "a trajectory by true relations", _RELATIONS_TEXT, to=scores)
+    relations.add_argument(
+        "relations",
+        metavar="RELATIONS",
+        type=Path,
+        help="true relations, a line each: stamp1 stamp2 x y z roll pitch yaw (s, m, rad); also .gz .bz2 .xz",
+    )
+    relations.add_argument("trajectory", metavar="TUM", type=Path, help="a pose a line: stamp x y z qx qy qz qw (s, m)")
+    surface = add("surface", run_evaluate_surface, "a mesh by the true surface", _SURFACE_TEXT, to=scores)
+    surface.add_argument(
+        "truth",
+        metavar="TRUTH",
+        type=Path,
+        help="NPZ with truth_vertices (V, 3) in m, truth_faces (F, 3) and, where not all of it was seen, clean (N, 3) "
+        f"in m, the hits without noise; or a mesh ({' '.join(MESH_ENDINGS)})",
+    )
+    surface.add_argument(
+        "mesh", metavar="MESH", type=Path, help=f"{' '.join(MESH_ENDINGS)}, in m, in the frame of the truth"
+    )
+    surface.add_argument(
+        "--seen", metavar="CLOUD", type=Path, help="what was seen, in m, in the frame of the truth, in place of clean"
+    )
+    for score in (relations, surface):
+        score.add_argument(
+            "--json", metavar="FILE", type=Path, help="also write the score here: m, deg, shares from 0 to 1"
+        )
     return parser
 
 

@@ -7,7 +7,9 @@ from __future__ import annotations
 import numpy as np
 
 from g2_recon.config import LocalizationConfig, ReconstructionConfig
+from g2_recon.evaluation.surface import score_surface
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.geometry.scan import Scan
 from g2_recon.localization.localizer import Localizer
 from g2_recon.reconstruction.reconstructor import reconstruct
@@ -21,6 +23,8 @@ def warm_up() -> None:
     for with_sensor in (True, False):
         cloud = _corner_of_a_room(with_sensor=with_sensor)
         reconstruct(cloud, ReconstructionConfig())
+    triangles = np.eye(3), np.array([[0, 1, 2], [2, 1, 0]])
+    score_surface(TrueSurface(*triangles), *triangles, samples=10)
     for training in ("iterative", "batch"):
         reconstruct(cloud, ReconstructionConfig(mode="paper", training=training, clusters=4, passes=50))
 

@@ -15,13 +15,26 @@ import yaml
 from g2_recon import config
 from g2_recon.cli import build_parser, bundled_recording, main
 from g2_recon.config import G2ReconConfig, ReconstructionConfig
-from g2_recon.recording.clouds import read_cloud
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.mesh import Mesh, TrueSurface
+from g2_recon.recording.clouds import read_cloud, write_cloud
+from g2_recon.recording.meshes import write_mesh
 from g2_recon.recording.recordings import read_recording
+from g2_recon.recording.surfaces import read_true_surface, write_true_surface
 from g2_recon.recording.trajectories import read_tum
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
-COMMANDS = ["demo", "run", "localize", "reconstruct", "import", "simulate"]
+COMMANDS = [
+    "demo",
+    "run",
+    "localize",
+    "reconstruct",
+    "import",
+    "simulate",
+    "evaluate relations",
+    "evaluate surface",
+]
 
 
 def needs(path):
@@ -125,7 +138,9 @@ def test_simulate_writes_a_bag_with_its_truth_and_does_not_replace_it_unasked(tm
     bag = tmp_path / "bag"
     arguments = ["simulate", "-o", str(bag), "--vertical-every", "500", "--horizontal-every", "100"]
     assert main(arguments) == 0
-    assert (bag / "truth" / "surfaces.npz").exists()
+    truth = read_true_surface(bag / "truth" / "surfaces.npz")
+    assert len(truth.faces) > 500
+    assert len(truth.seen) > 1000
     assert len(read_tum(bag / "truth" / "trajectory.tum")) > 1000
     assert "bag" in refused(capsys, *arguments)
     assert main([*arguments, "--force"]) == 0
@@ -146,9 +161,16 @@ def test_the_bundled_recording_can_be_made_again(tmp_path):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_explains_each_option(command, capsys):
     with pytest.raises(SystemExit) as stop:
-        build_parser().parse_args([command, "--help"])
+        build_parser().parse_args([*command.split(), "--help"])
     assert stop.value.code == 0
     assert "--verbose" in capsys.readouterr().out
+
+
+def test_the_scores_are_explained_with_their_units(capsys):
+    for score, said in (("relations", "translation in m and rotation in deg"), ("surface", "Distances in cm")):
+        with pytest.raises(SystemExit):
+            build_parser().parse_args(["evaluate", score, "--help"])
+        assert said in " ".join(capsys.readouterr().out.split())
 
 
 def test_every_setting_of_a_stage_is_an_option_of_its_command(capsys):
@@ -164,7 +186,17 @@ def test_every_setting_of_a_stage_is_an_option_of_its_command(capsys):
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["fly"], ["localize"], ["reconstruct", "x.ply", "--theta", "much"], ["demo", "--speed", "9"]]
+    "arguments",
+    [
+        [],
+        ["fly"],
+        ["localize"],
+        ["reconstruct", "x.ply", "--theta", "much"],
+        ["demo", "--speed", "9"],
+        ["evaluate"],
+        ["evaluate", "luck"],
+        ["evaluate", "surface", "truth.npz"],
+    ],
 )
 def test_bad_usage_ends_with_status_2(arguments, capsys):
     with pytest.raises(SystemExit) as stop:
@@ -210,6 +242,93 @@ def test_a_mounting_pose_may_be_given_with_negative_exponents():
         ["localize", "x.log", "--laser-pose", "0", "0", "-1.", "0", "-1.5e-1", "-.5E+0"]
     )
     assert vars(options)["localization.laser_pose"] == [0, 0, -1, 0, -0.15, -0.5]
+
+
+def test_the_mesh_of_the_demo_is_scored_by_the_bundled_truth(demo, tmp_path, capsys):
+    truth = bundled_recording() / "truth" / "surfaces.npz"
+    arguments = [truth, demo / "mesh.ply", "--seen", demo / "cloud.ply", "--json", tmp_path / "score.json"]
+    assert main(["evaluate", "surface", *map(str, arguments)]) == 0
+    score = json.loads((tmp_path / "score.json").read_text())
+    # What the published demo makes, with room for other versions of NumPy: 0.6 cm and 94 %.
+    assert 0.001 < score["accuracy"] < 0.012
+    assert score["at"][0]["threshold"] == 0.05
+    assert 0.9 < score["at"][0]["f_score"] < 1
+    assert score["topology"]["nonmanifold_edges"] == 0
+    shown = capsys.readouterr().err
+    assert f"{100 * score['accuracy']:.2f} cm" in shown
+    assert f"{100 * score['at'][1]['f_score']:.2f} %" in shown
+
+
+SQUARE = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]])
+TWO = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def shown_value(capsys, name):
+    return next(line for line in capsys.readouterr().err.splitlines() if name in line).split("│")[2].strip()
+
+
+@pytest.mark.parametrize("ending", [".ply", ".obj", ".stl", ".glb"])
+def test_a_mesh_5_cm_off_is_5_cm_off(tmp_path, capsys, ending):
+    write_true_surface(tmp_path / "truth.npz", TrueSurface(SQUARE, TWO))
+    write_mesh(tmp_path / f"mesh{ending}", Mesh(SQUARE + (0, 0, 0.05), TWO, np.zeros(2, int)))
+    assert main(["evaluate", "surface", str(tmp_path / "truth.npz"), str(tmp_path / f"mesh{ending}")]) == 0
+    assert shown_value(capsys, "accuracy") == "5.00 cm"
+
+
+def test_the_truth_may_be_a_mesh(tmp_path, capsys):
+    mesh = tmp_path / "mesh.ply"
+    write_mesh(mesh, Mesh(SQUARE, TWO, np.zeros(2, int)))
+    assert main(["evaluate", "surface", str(mesh), str(mesh)]) == 0
+    assert shown_value(capsys, "F-score at 2 cm") == "100.00 %"
+
+
+def test_a_score_is_refused_in_one_line(tmp_path, capsys):
+    truth, mesh, flat = tmp_path / "truth.npz", tmp_path / "mesh.ply", tmp_path / "flat.ply"
+    write_true_surface(truth, TrueSurface(SQUARE, TWO))
+    write_mesh(mesh, Mesh(SQUARE, TWO, np.zeros(2, int)))
+    write_mesh(flat, Mesh(SQUARE * 0, TWO, np.zeros(2, int)))
+    write_cloud(tmp_path / "far.ply", Cloud(SQUARE + 50))
+    assert "nowhere.npz" in refused(capsys, "evaluate", "surface", tmp_path / "nowhere.npz", mesh)
+    assert "nowhere.ply" in refused(capsys, "evaluate", "surface", truth, tmp_path / "nowhere.ply")
+    assert ".glb" in refused(capsys, "evaluate", "surface", truth, tmp_path / "mesh.blend")
+    assert "mesh: no face has an area" in refused(capsys, "evaluate", "surface", truth, flat)
+    said = refused(capsys, "evaluate", "surface", truth, mesh, "--seen", tmp_path / "far.ply")
+    assert "nothing of it was seen" in said
+    for read in (truth, mesh):
+        assert "would replace" in refused(capsys, "evaluate", "surface", truth, mesh, "--json", read)
+
+
+def relations_of_a_drive(folder, error):
+    """A straight drive of 1 m a second as a TUM file, and relations of 10 s whose x is off by the errors (N,)."""
+    stamps = np.arange(100.0)
+    poses = np.column_stack([stamps, stamps, 0 * stamps, 0 * stamps, *[0 * stamps] * 3, 1 + 0 * stamps])
+    np.savetxt(folder / "way.tum", poses)
+    first = np.arange(len(error)) * 5.0
+    zero = np.zeros_like(first)
+    relations = np.column_stack([first, first + 10, 10 + np.array(error), *[zero] * 4, zero + np.radians(2)])
+    np.savetxt(folder / "way.relations", relations)
+    return folder / "way.relations", folder / "way.tum"
+
+
+def test_a_trajectory_is_scored_by_relations(tmp_path, capsys):
+    files = [str(file) for file in relations_of_a_drive(tmp_path, [0.1, 0.3])]
+    assert main(["evaluate", "relations", *files, "--json", str(tmp_path / "score.json")]) == 0
+    shown = capsys.readouterr().err
+    assert "0.2000 +- 0.1000 m" in shown
+    assert "2.000 +- 0.000 deg" in shown
+    score = json.loads((tmp_path / "score.json").read_text())
+    assert (score["relations"], score["missed"]) == (2, 0)
+    assert score["translation_mean"] == pytest.approx(0.2)
+
+
+def test_relations_or_trajectories_that_cannot_be_used_are_refused_in_one_line(tmp_path, capsys):
+    relations, trajectory = relations_of_a_drive(tmp_path, [0.1])
+    assert "no.relations" in refused(capsys, "evaluate", "relations", tmp_path / "no.relations", trajectory)
+    assert "no.tum" in refused(capsys, "evaluate", "relations", relations, tmp_path / "no.tum")
+    assert "way.relations" in refused(capsys, "evaluate", "relations", trajectory, relations)
+    (tmp_path / "late.relations").write_text("1e6 1000010 10 0 0 0 0 0\n")
+    said = refused(capsys, "evaluate", "relations", tmp_path / "late.relations", trajectory)
+    assert "none of the relations" in said
 
 
 def write_cloud_text(path):

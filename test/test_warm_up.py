@@ -6,7 +6,7 @@ import sys
 
 
 def test_after_a_warm_up_nothing_is_left_to_compile(tmp_path):
-    """Numba writes an index a kernel; a run on other data adds none in the kernels that a reconstruction uses."""
+    """Numba writes an index a kernel; a run on other data adds none in those of a reconstruction and a score."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     other_data = (
         "import numpy as np; from g2_recon.geometry.cloud import Cloud;"
@@ -14,7 +14,9 @@ def test_after_a_warm_up_nothing_is_left_to_compile(tmp_path):
         "from g2_recon.reconstruction.reconstructor import reconstruct; rng = np.random.default_rng(0);"
         "p = np.hstack([3 * rng.random((3000, 2)), 0.01 * rng.normal(size=(3000, 1))]);"
         "[reconstruct(Cloud(p, p + (0, 0, z)), ReconstructionConfig(mode=m, passes=5, clusters=3))"
-        " for m, z in (('solid', 2.0), ('paper', 2.0))]"
+        " for m, z in (('solid', 2.0), ('paper', 2.0))];"
+        "from g2_recon.evaluation.surface import score_surface; from g2_recon.geometry.mesh import TrueSurface;"
+        "f = np.arange(3000).reshape(-1, 3); score_surface(TrueSurface(p, f, p[::2]), p + 0.01, f, workers=0)"
     )
     subprocess.run([sys.executable, "-m", "g2_recon.warm_up"], env=environment, check=True)
     compiled = {file.name for file in tmp_path.rglob("*.nbc")}

@@ -105,13 +105,13 @@ def score_surface(
     that are not there or is not finite, or where nothing of the truth was seen.
     """
     truth_tree, mesh_tree = triangle_tree(truth.vertices, truth.faces), triangle_tree(vertices, faces)
-    on_truth, on_truth_normals = sample_surface(truth.vertices, truth.faces, samples, _SEED_TRUTH)
+    on_truth, on_truth_normals = sample_surface(truth.vertices, truth.faces, samples, _SEED_TRUTH, where="truth")
     if truth.seen is not None:
         near = cKDTree(truth.seen).query(on_truth, distance_upper_bound=_SEEN_M, workers=workers or -1)[0] < _SEEN_M
         on_truth, on_truth_normals = on_truth[near], on_truth_normals[near]
         if len(on_truth) == 0:
-            raise InputError("nothing of the true surface was seen", advice="are the hits in its frame, in metres?")
-    on_mesh, on_mesh_normals = sample_surface(vertices, faces, samples, _SEED_MESH)
+            raise InputError("nothing of it was seen", where="truth", advice="are the hits in its frame, in metres?")
+    on_mesh, on_mesh_normals = sample_surface(vertices, faces, samples, _SEED_MESH, where="mesh")
     progress("scoring", 1, 4)
     to_truth = closest_in_tree(on_mesh, truth_tree, workers=workers)
     progress("scoring", 2, 4)
@@ -139,15 +139,15 @@ def _score_at(threshold: float, to_truth: Float, to_mesh: Float) -> ThresholdSco
     return ThresholdScore(threshold, precision, recall, f_score)
 
 
-def sample_surface(vertices: Float, faces: Int, count: int, seed: int) -> tuple[Float, Float]:
+def sample_surface(vertices: Float, faces: Int, count: int, seed: int, *, where: str = "mesh") -> tuple[Float, Float]:
     """Points (count, 3) spread evenly over a mesh, in metres, and the unit normal (count, 3) at each.
 
-    Raises InputError where no face has an area.
+    Raises InputError, with the name `where`, if no face has an area.
     """
     area, normal = _areas_and_normals(vertices, faces)
     total = area.sum()
     if not total > 0:
-        raise InputError("no face of the mesh has an area", advice="is it a mesh of a building, in metres?")
+        raise InputError("no face has an area", where=where, advice="is it in metres?")
     rng = np.random.default_rng(seed)
     face = rng.choice(len(faces), count, p=area / total)
     uv = rng.random((count, 2))
@@ -168,8 +168,9 @@ def _areas_and_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
 def topology(vertices: Float, faces: Int) -> Topology:
     """Count what keeps a mesh, vertices (V, 3) in metres and faces (F, 3), from being a clean closed surface.
 
-    MeshLab counts self-intersecting faces another way: also those that only touch, such as two at one vertex that are
-    almost in one plane, but not those of one plane that overlap beside a vertex that they share.
+    MeshLab counts self-intersecting faces otherwise: also those that only touch and, by rounding, some that lie apart
+    in one plane; of those that overlap in one plane, not those that share a vertex or are parallel to a coordinate
+    plane.
     """
     welded_vertices, welded = _weld(vertices, faces)
     count = len(welded_vertices)

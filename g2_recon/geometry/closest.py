@@ -156,8 +156,11 @@ def _sort(order, centers, leaves):  # type: ignore[no-untyped-def]
 def _select(order, centers, axis, begin, end, middle):  # type: ignore[no-untyped-def]
     """Put no greater ones before `middle` and no smaller ones from there on. Hoare, "Algorithm 65: find", 1961."""
     low, high = begin, end - 1
+    # Pivots at random (Park and Miller, 1988): strips of faces come in orders that make any fixed place a bad one.
+    random = 1
     while low < high:
-        pivot = centers[order[(low + high) // 2], axis]
+        random = random * 48271 % 2147483647
+        pivot = centers[order[low + random % (high - low + 1)], axis]
         i, j = low, high
         while i <= j:
             while centers[order[i], axis] < pivot:

@@ -4,29 +4,21 @@
 
 from __future__ import annotations
 
-import math
 import warnings
-import zipfile
-import zlib
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from numpy.lib import format as npy
-from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
-from g2_recon.recording.cloud_tables import CUT_SHORT
 from g2_recon.recording.files import atomic_write, read_bytes
+from g2_recon.recording.npz import parse_npz
 from g2_recon.recording.pcd import parse_pcd, write_pcd
 from g2_recon.recording.ply import parse_ply, write_ply
 
 _NAMES = ("x", "y", "z", "vx", "vy", "vz")
 _COMMENTS = ("#", "//")
 _MAX_FAULT_LENGTH = 200
-_MAX_DEFLATE_RATIO = 1100
-"""Deflate packs at most 1032 to 1: a member of an NPZ file that claims more is damaged or hostile."""
 
 
 def read_cloud(path: str | Path) -> Cloud:
@@ -126,40 +118,9 @@ def _write_text(path: Path, cloud: Cloud) -> None:
 
 def _parse_npz(content: bytes) -> Cloud:
     """Arrays `points` (N, 3) and optional `sensor` (N, 3) of real numbers."""
-    try:
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            members = set(archive.namelist())
-            if "points.npy" not in members:
-                raise InputError("has no array 'points'", advice="expected points (N, 3) and optional sensor (N, 3)")
-            points = _npz_array(archive, "points.npy")
-            sensor = _npz_array(archive, "sensor.npy") if "sensor.npy" in members else None
-    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, NotImplementedError, RuntimeError) as error:
-        raise InputError(f"is no sound NPZ file: {str(error)[:_MAX_FAULT_LENGTH]}", advice=CUT_SHORT) from None
-    return Cloud(points, sensor)
-
-
-def _npz_array(archive: zipfile.ZipFile, member: str) -> NDArray[np.float64]:
-    """One array (N, 3); numpy.load would take the memory that its header claims before looking at its size."""
-    entry = archive.getinfo(member)
-    if entry.file_size > _MAX_DEFLATE_RATIO * max(entry.compress_size, 1):
-        raise InputError(f"{member} claims more than its packed data can hold", advice=CUT_SHORT)
-    with archive.open(entry) as stream:
-        version = npy.read_magic(stream)
-        read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, fortran_order, kind = read_header(stream)
-        if kind.kind not in "fiu" or len(shape) != 2 or shape[1] != 3:
-            raise InputError(
-                f"{member} is {f'{kind} {shape}'[:_MAX_FAULT_LENGTH]}, not real numbers (N, 3)",
-                advice="export it as float64 (N, 3)",
-            )
-        size = math.prod(shape) * kind.itemsize
-        if size > entry.file_size:
-            raise InputError(f"{member} states {size} bytes but has {entry.file_size}", advice=CUT_SHORT)
-        content = stream.read(size)
-    if len(content) < size:
-        raise InputError(f"{member} ends early", advice=CUT_SHORT)
-    array = np.frombuffer(content, kind).reshape(shape, order="F" if fortran_order else "C")
-    return array.astype(np.float64)
+    arrays = parse_npz(content, ["points"], ["sensor"])
+    sensor = arrays.get("sensor")
+    return Cloud(arrays["points"].astype(np.float64), None if sensor is None else sensor.astype(np.float64))
 
 
 def _write_npz(path: Path, cloud: Cloud) -> None:

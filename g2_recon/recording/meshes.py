@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from io import BytesIO
 from pathlib import Path
@@ -25,6 +26,9 @@ MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 _FLOAT_ENDINGS = ("stl", "glb")
 _FLOAT_LIMIT = 1e4
 """Metres; above, neighboring float32 numbers are a millimetre apart."""
+
+FARTHEST_M = 1e9
+"""What is farther away was not measured by a robot on Earth."""
 
 _COORDINATES = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
 
@@ -71,22 +75,51 @@ def read_mesh(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
     """Vertices (V, 3) in metres and faces (F, 3) of a .ply, .obj, .stl or .glb file; larger polygons are split.
 
     The corners of an STL file that coincide become one vertex. Raises InputError if the file cannot be read, is
-    malformed, or holds no triangle.
+    malformed, holds no triangle, or a coordinate is not finite or above a million kilometres.
     """
     ending = _ending(path)
     content = read_bytes(path)
+    if ending == "glb":
+        _check_glb(content, path)
     try:
         loaded: Any = trimesh.load_mesh(BytesIO(content), file_type=ending, process=False)
         if ending == "stl":
             loaded.merge_vertices()
-        vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
+        vertices = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
+        # A cloud has none.
+        faces = np.asarray(getattr(loaded, "faces", ()), np.int64).reshape(-1, 3)
     except Exception as error:  # trimesh lets whatever its parsers meet through: KeyError, struct.error, IndexError ...
         raise InputError(f"is no sound mesh: {error}", where=path, advice="the file is damaged") from None
+    return check_triangles(vertices, faces, path)
+
+
+def check_triangles(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], path: str | Path
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The triangles of a file, vertices (V, 3) and faces (F, 3), as they are. Raises InputError as read_mesh does."""
     if len(faces) == 0:
         raise InputError("holds no triangle", where=path, advice="is it a cloud?")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError("a face names a vertex that is not there", where=path, advice="the file is damaged")
+    if not (np.abs(vertices) <= FARTHEST_M).all():
+        raise InputError(
+            f"a coordinate is not finite or above {FARTHEST_M:g} m", where=path, advice="is the file damaged?"
+        )
     return vertices, faces
+
+
+def _check_glb(content: bytes, path: str | Path) -> None:
+    """Raises InputError where a GLB file claims more items than it has bytes: trimesh would take memory for them."""
+    try:
+        length = int.from_bytes(content[12:16], "little")
+        accessors = json.loads(content[20 : 20 + length]).get("accessors", [])
+        largest = max((int(accessor["count"]) for accessor in accessors), default=0)
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
+        raise InputError(
+            "is no sound mesh: its table of contents is broken", where=path, advice="the file is damaged"
+        ) from None
+    if largest > len(content):
+        raise InputError(f"claims {largest} items in {len(content)} bytes", where=path, advice="the file is damaged")
 
 
 def _ply_of_mesh(mesh: Mesh) -> bytes:

@@ -186,11 +186,11 @@ def test_faces_of_all_sizes_cross_where_a_search_of_all_pairs_says_so(seed, coun
     ("truth", "vertices", "faces", "said"),
     [
         (TrueSurface(SQUARE, TWO), SQUARE, np.empty((0, 3), int), "without a face"),
-        (TrueSurface(SQUARE, TWO), SQUARE * 0, TWO, "has an area"),
+        (TrueSurface(SQUARE, TWO), SQUARE * 0, TWO, "mesh: no face has an area"),
         (TrueSurface(SQUARE, TWO), SQUARE * (1, np.nan, 1), TWO, "not finite"),
         (TrueSurface(SQUARE, TWO[:0]), SQUARE, TWO, "without a face"),
-        (TrueSurface(SQUARE * 0, TWO), SQUARE, TWO, "has an area"),
-        (TrueSurface(SQUARE, TWO, SQUARE + 50), SQUARE, TWO, "nothing of the true surface was seen"),
+        (TrueSurface(SQUARE * 0, TWO), SQUARE, TWO, "truth: no face has an area"),
+        (TrueSurface(SQUARE, TWO, SQUARE + 50), SQUARE, TWO, "truth: nothing of it was seen"),
     ],
 )
 def test_what_cannot_be_scored_is_refused(truth, vertices, faces, said):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 import trimesh
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import Mesh, WireMesh
-from g2_recon.recording.clouds import read_cloud
+from g2_recon.recording.clouds import read_cloud, write_cloud
 from g2_recon.recording.meshes import MESH_ENDINGS, read_mesh, write_mesh, write_wire_mesh
 
 TETRAHEDRON = Mesh(
@@ -118,6 +120,80 @@ def test_a_damaged_mesh_is_read_or_told(tmp_path: Path, ending: str) -> None:
             assert "\n" not in str(error)
         else:
             assert faces.max() < len(vertices)
+
+
+@pytest.mark.parametrize("ending", [".ply", ".obj"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_coordinates_of_no_place_are_told(tmp_path: Path, ending: str, value: float) -> None:
+    vertices = TETRAHEDRON.vertices.copy()
+    vertices[2, 1] = value
+    write_mesh(tmp_path / f"m{ending}", Mesh(vertices, TETRAHEDRON.faces, TETRAHEDRON.submap))
+    with pytest.raises(InputError, match=rf"m\{ending}.*coordinate is not finite"):
+        read_mesh(tmp_path / f"m{ending}")
+
+
+def test_a_glb_that_claims_more_than_it_has_is_told_before_memory_is_taken(tmp_path: Path) -> None:
+    table = json.dumps(
+        {
+            "asset": {"version": "2.0"},
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+            # Without a buffer view it is all zeros.
+            "accessors": [{"componentType": 5126, "count": 10**9, "type": "VEC3"}],
+        }
+    ).encode()
+    table += b" " * (-len(table) % 4)
+    length = 20 + len(table) + 8
+    header = b"glTF" + np.array([2, length, len(table)], "<u4").tobytes() + b"JSON"
+    (tmp_path / "m.glb").write_bytes(header + table + np.array([0], "<u4").tobytes() + b"BIN\0")
+    with pytest.raises(InputError, match=r"m\.glb: claims 1000000000 items"):
+        read_mesh(tmp_path / "m.glb")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nproperty float x\nproperty float y\n"
+        b"property float z\nelement face 1000000000000\nproperty list uchar int vertex_indices\nend_header\n"
+        + bytes(99),
+        b"ply\nformat ascii 1.0\nelement vertex 1000000000000\nproperty float x\nproperty float y\n"
+        b"property float z\nelement face 1000000000000\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n",
+    ],
+    ids=["binary", "text"],
+)
+def test_a_ply_that_claims_more_than_it_has_is_told(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "m.ply").write_bytes(content)
+    with pytest.raises(InputError, match=r"m\.ply"):
+        read_mesh(tmp_path / "m.ply")
+
+
+def test_an_stl_that_claims_more_than_it_has_is_told(tmp_path: Path) -> None:
+    (tmp_path / "m.stl").write_bytes(bytes(80) + b"\xff\xff\xff\xff" + bytes(500))
+    with pytest.raises(InputError, match=r"m\.stl"):
+        read_mesh(tmp_path / "m.stl")
+
+
+def test_the_parts_of_a_glb_are_one_mesh_where_they_are(tmp_path: Path) -> None:
+    box = trimesh.creation.box((1, 1, 1))
+    scene = trimesh.Scene()
+    scene.add_geometry(box)
+    scene.add_geometry(box.copy(), transform=trimesh.transformations.translation_matrix([5, 0, 0]))
+    scene.export(tmp_path / "m.glb")
+    vertices, faces = read_mesh(tmp_path / "m.glb")
+    assert len(faces) == 24
+    assert vertices[:, 0].max() == pytest.approx(5.5)
+
+
+def test_larger_polygons_are_split(tmp_path: Path) -> None:
+    (tmp_path / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    assert len(read_mesh(tmp_path / "m.obj")[1]) == 2
+
+
+def test_points_without_faces_are_told_as_such(tmp_path: Path) -> None:
+    write_cloud(tmp_path / "c.ply", Cloud(TETRAHEDRON.vertices))
+    with pytest.raises(InputError, match=r"c\.ply: holds no triangle; is it a cloud"):
+        read_mesh(tmp_path / "c.ply")
 
 
 def test_a_wire_mesh_has_the_connections_as_edges(tmp_path: Path) -> None:
