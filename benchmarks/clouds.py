@@ -35,6 +35,7 @@ OUTSIDE, SOLID, FREE = 0, 1, 2
 _TOLERANCE = 1e-9
 _PROBE = 1e-6  # m beside a face, to see what is there
 _SLIVER = 1e-9  # m^2 of surface that no one misses
+_DRIFT_ANGLE = math.radians(10)  # a metre
 _SIDES = 48  # of a polygon that stands for a circle
 
 
@@ -88,7 +89,7 @@ class Survey:
 
     noise: standard deviation of a range, m. step: way between two scans, m. beam_spacing: deg. height: of the laser, m.
     outliers: share of beams that something in the air cuts short; with any, edges split beams, too (Lms200).
-    drift: largest smooth error of the poses, m; a tenth of it in radians. all_round: two lasers, back to back.
+    drift: largest smooth error of the poses, m, and 0.1 deg a centimetre. all_round: two lasers, back to back.
     rotated: whether the building lies generically in space. known_sensor: whether sensor positions are kept.
     """
 
@@ -370,7 +371,7 @@ def scan(vertices: Float, faces: Int, way: Sequence[Point], survey: Survey) -> S
     cut_short = rng.random(ranges.shape) < survey.outliers
     ranges = np.where(cut_short, ranges * rng.random(ranges.shape), ranges)
     valid = np.isfinite(ranges) & np.isfinite(distances) & (ranges > 0.2)
-    believed = _drift(len(poses), survey.drift, rng) @ poses
+    believed = _drifted(poses, survey.drift, rng)
     points, clean = _along(believed, angles, ranges)[valid], _along(poses, angles, distances)[valid]
     sensor = np.broadcast_to(believed[:, None, :3, 3], (*valid.shape, 3))[valid]
     if survey.rotated:
@@ -386,13 +387,15 @@ def _along(poses: Float, angles: Float, ranges: Float) -> Float:
         return poses[:, None, :3, 3] + ranges[:, :, None] * np.einsum("sij,bj->sbi", poses[:, :3, :2], beams)
 
 
-def _drift(count: int, size: float, rng: np.random.Generator) -> Float:
-    """Errors (S, 4, 4) of poses that grow and shrink smoothly on the way."""
-    phase = rng.uniform(0, 2 * math.pi, (6, 1)) + 2 * math.pi * np.linspace(0, 1, count) * np.arange(1, 7)[:, None] / 2
-    errors = np.tile(np.eye(4), (count, 1, 1))
-    errors[:, :3, :3] = Rotation.from_rotvec(0.1 * size * np.sin(phase[:3]).T).as_matrix()
-    errors[:, :3, 3] = size * np.sin(phase[3:]).T
-    return errors
+def _drifted(poses: Float, size: float, rng: np.random.Generator) -> Float:
+    """Poses (S, 4, 4) with an error of place and direction that grows and shrinks smoothly on the way."""
+    waves = np.arange(1, 7)[:, None] / 2 * np.linspace(0, 2 * math.pi, len(poses))
+    errors = size / math.sqrt(3) * np.sin(waves + rng.uniform(0, 2 * math.pi, (6, 1))).T
+    believed = poses.copy()
+    believed[:, :3, 3] += errors[:, :3]
+    turns = Rotation.from_rotvec(_DRIFT_ANGLE * errors[:, 3:]).as_matrix()
+    believed[:, :3, :3] = turns @ poses[:, :3, :3]
+    return believed
 
 
 # The buildings

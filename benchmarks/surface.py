@@ -235,7 +235,7 @@ def table_robustness(bench: Bench) -> Table:
             rows.append({"cloud": name, "points": f"{len(scanned.points):,}"} | row)
     note = (
         "Names as in `benchmarks/clouds.py`: s05, s2, s3: noise of 0.5, 2, 3 cm instead of 1 cm; out: 1 % of the beams "
-        "cut short by something in the air, and mixed pixels; drift: poses up to 5 cm and 0.3 deg off; half, double: a "
+        "cut short by something in the air, and mixed pixels; drift: poses up to 5 cm and 0.5 deg off; half, double: a "
         "scan each 13 or 3.25 cm; fine: a beam each 0.5 deg; round: two lasers back to back at 1.2 m, so that the "
         "floor is seen; level: not rotated; nosensor: without sensor positions. Columns as above."
     )

@@ -120,6 +120,16 @@ def test_a_seed_changes_the_noise_and_nothing_else():
     assert not np.array_equal(one.points[:100], other.points[:100])
 
 
+def test_poses_that_drift_are_off_by_no_more_than_was_asked_for():
+    vertices, faces, way = built("corridor")
+    drifting = scan(vertices, faces, way, Survey(noise=0.0, step=0.4, drift=0.05, rotated=False))
+    exact = scan(vertices, faces, way, COARSE)
+    off = np.linalg.norm(np.unique(drifting.sensor, axis=0)[:, None] - np.unique(exact.sensor, axis=0), axis=2)
+    assert 0.02 < off.min(axis=1).max() <= 0.05
+    turned_by = np.linalg.norm(drifting.points - drifting.sensor - (drifting.clean - exact.sensor), axis=1)
+    assert (turned_by <= math.radians(0.5) * 8.2 + 0.001).all()  # m, at the largest range, and a count
+
+
 def test_a_name_lists_what_is_different():
     plain, changed = make("corridor_half"), make("corridor_half_level_nosensor_out")
     assert changed.sensor is None
