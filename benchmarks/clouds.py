@@ -629,7 +629,9 @@ def two_cubes(spacing: float = 0.1) -> Scanned:
     """The paper's two unit cubes, 0.5 m apart, free of noise: 11 x 11 points on each of their sides (section 4)."""
     grid = np.linspace(0, 1, round(1 / spacing) + 1)
     u, v = (along.ravel() for along in np.meshgrid(grid, grid))
-    sides = [np.insert(np.column_stack([u, v]), axis, end, axis=1) for axis in range(3) for end in (0.0, 1.0)]
+    sides = [
+        np.roll(np.column_stack([np.full(u.size, end), u, v]), axis, axis=1) for axis in range(3) for end in (0.0, 1.0)
+    ]
     one = np.concatenate(sides)
     parts = [(box((-1, 4), (-1, 2), (-1, 2)), FREE), *((box((x, x + 1), (0, 1), (0, 1)), SOLID) for x in (0.0, 1.5))]
     points = np.concatenate([one, one + [1.5, 0, 0]])

@@ -11,35 +11,19 @@ import sys
 import time
 from pathlib import Path
 
+import clouds
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from g2_recon import pictures
 from g2_recon.config import ReconstructionConfig
-from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import WireMesh
 from g2_recon.reconstruction.reconstructor import reconstruct
-
-POINTS_ALONG_AN_EDGE = 11
-GAP_M = 0.5
 
 JOINED = ReconstructionConfig(mode="paper", clusters=12, rows=10, columns=5)
 # One map must span the gap, so parts of its one cluster may be as far apart as they like.
 SINGLE = ReconstructionConfig(mode="paper", clusters=1, rows=20, columns=30, cluster_gap=1000)
-
-
-def cube(corner: tuple[float, float, float]) -> NDArray[np.float64]:
-    """The surface of a unit cube: 121 points on each of its six sides, 726 in all, as in the paper."""
-    u, v = np.meshgrid(*[np.linspace(0, 1, POINTS_ALONG_AN_EDGE)] * 2)
-    sides = []
-    for axis in range(3):
-        for end in (0.0, 1.0):
-            side = np.full((u.size, 3), end)
-            side[:, (axis + 1) % 3], side[:, (axis + 2) % 3] = u.ravel(), v.ravel()
-            sides.append(side)
-    return np.concatenate(sides) + corner
 
 
 def connected_parts(wire: WireMesh) -> int:
@@ -51,7 +35,7 @@ def connected_parts(wire: WireMesh) -> int:
 
 def main() -> None:
     """Reconstruct both ways, say what came out, draw it."""
-    cloud = Cloud(np.concatenate([cube((0, 0, 0)), cube((1 + GAP_M, 0, 0))]))
+    cloud = clouds.two_cubes().cloud()
     reconstruct(cloud, ReconstructionConfig(mode="paper", passes=1))  # compiles the kernels
     wires, titles = [], []
     for name, config in (("12 maps of 10 x 5, joined", JOINED), ("one map of 20 x 30", SINGLE)):
