@@ -567,7 +567,7 @@ def slanted() -> tuple[Parts, list[Point]]:
     return parts, way
 
 
-def curved() -> tuple[Parts, list[Point]]:
+def vaulted() -> tuple[Parts, list[Point]]:
     """A vaulted nave with a transept, round niches and columns, and a round tower under a dome."""
     dome = [(2.6, 0.0), (2.6, 2.2), *((2.6 * math.cos(a), 2.2 + 2.2 * math.sin(a)) for a in np.linspace(0.1, 1.5, 12))]
     column = [(0.28, 0.0), (0.2, 4.8)]
@@ -598,7 +598,7 @@ def built(name: str) -> tuple[Float, Int, tuple[Point, ...]]:
 
 
 BUILDINGS: dict[str, Callable[[], tuple[Parts, list[Point]]]] = {
-    building.__name__: building for building in (offices, hall, corridor, slanted, curved)
+    building.__name__: building for building in (offices, hall, corridor, slanted, vaulted)
 }
 
 VARIANTS: dict[str, dict[str, float | bool]] = {
