@@ -16,8 +16,8 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import clouds
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -33,8 +33,6 @@ from g2_recon.recording.recordings import read_recording
 
 ROOT = Path(__file__).resolve().parents[1]
 BUNDLED = ROOT / "bags" / "first_floor"
-POINTS_ALONG_AN_EDGE = 11
-GAP_M = 0.5
 
 PUBLISHED = ReconstructionConfig(mode="paper")
 CUBES = PUBLISHED.model_copy(update={"clusters": 12})
@@ -83,23 +81,6 @@ class Result:
             self.paper,
         ]
         return f"| {' | '.join(cells)} |"
-
-
-def cube(corner: tuple[float, float, float]) -> NDArray[np.float64]:
-    """The surface of a unit cube: 121 points on each of its six sides, 726 in all, as in the paper."""
-    u, v = np.meshgrid(*[np.linspace(0, 1, POINTS_ALONG_AN_EDGE)] * 2)
-    sides = []
-    for axis in range(3):
-        for end in (0.0, 1.0):
-            side = np.full((u.size, 3), end)
-            side[:, (axis + 1) % 3], side[:, (axis + 2) % 3] = u.ravel(), v.ravel()
-            sides.append(side)
-    return np.concatenate(sides) + corner
-
-
-def two_cubes() -> Cloud:
-    """The artificial data of the paper, two cubes of 726 points; how far apart they are is chosen here."""
-    return Cloud(np.concatenate([cube((0, 0, 0)), cube((1 + GAP_M, 0, 0))]))
 
 
 def floor(file: Path | None) -> Cloud:
@@ -156,7 +137,7 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, default=ROOT / "docs", help="folder for the pictures")
     options = parser.parse_args()
 
-    cubes = two_cubes()
+    cubes = clouds.two_cubes().cloud()
     for clustering in ("k_means", "neural_gas"):  # compiles the kernels
         reconstruct(cubes, CUBES.model_copy(update={"clustering": clustering, "passes": 100}))
     print(HEADER)

@@ -85,6 +85,17 @@ def draw_wire_meshes(
     _save(figure, path)
 
 
+def draw_meshes(path: str | Path, meshes: Sequence[Mesh], titles: Sequence[str]) -> None:
+    """Meshes from above, three in a row, each under its title; faces that look down are left out."""
+    columns = min(len(meshes), 3)
+    rows = -(-len(meshes) // columns)
+    figure = Figure(figsize=(7 * columns, 6 * rows), layout="constrained")
+    for number, (mesh, title) in enumerate(zip(meshes, titles, strict=True), start=1):
+        axes = figure.add_subplot(rows, columns, number, projection="3d")
+        _draw_faces(axes, mesh, title=title)
+    _save(figure, path)
+
+
 def _draw_faces(axes, mesh: Mesh, *, title: str) -> None:  # type: ignore[no-untyped-def]
     _frame(axes, mesh.vertices, title)
     normals = mesh.face_normals()

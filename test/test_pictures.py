@@ -39,6 +39,14 @@ def test_a_mesh_is_drawn_even_if_parts_are_empty(tmp_path, mesh, wire):
     assert imread(tmp_path / "mesh.png").ndim == 3
 
 
+def test_meshes_are_drawn_three_in_a_row(tmp_path):
+    for count in (1, 3, 4):
+        pictures.draw_meshes(tmp_path / f"{count}.png", [TRIANGLE] * count, ["triangle"] * count)
+    one, three, four = (imread(tmp_path / f"{count}.png").shape for count in (1, 3, 4))
+    assert three[1] == pytest.approx(3 * one[1], abs=2) and three[0] == one[0]
+    assert four[1] == three[1] and four[0] == 2 * three[0]
+
+
 def test_ceilings_are_cut_away(tmp_path):
     ceiling = Mesh(TRIANGLE.vertices, TRIANGLE.faces[:, ::-1], TRIANGLE.submap)
     pictures.draw_mesh(tmp_path / "floor.png", TRIANGLE, NO_WIRE)

@@ -1,0 +1,491 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""All tables of docs/benchmarks.md: how good, fast and large the meshes are, ours beside those of other programs.
+
+Usage: python benchmarks/surface.py [--data FOLDER] [--only TABLE ...] [--clouds NAME ...] [--quick]
+       [--out FOLDER] [--peers-python PYTHON]
+
+Writes benchmarks.md, a JSON file a table and pictures to the folder. benchmarks.md is put together from all tables that
+lie there, so that one can be made anew. Programs that are not installed are left out, and named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import gzip
+import io
+import json
+import logging
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import clouds
+import numpy as np
+import peers
+import trimesh
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from g2_recon import pictures
+from g2_recon.config import ReconstructionConfig
+from g2_recon.evaluation.surface import sample_surface, score_surface, topology
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.mesh import TrueSurface
+from g2_recon.reconstruction.reconstructor import reconstruct
+from g2_recon.recording.clouds import read_cloud
+
+log = logging.getLogger("benchmarks")
+
+Row = dict[str, Any]
+
+SHARED = ("floor_rot", "floor_s3", "floor_out", "floor_drift", "cubes", "curved")
+# Other spacings than 20 cm; the two clouds are of things of 1 m.
+SPACINGS = {"cubes": 0.12, "curved": 0.12, "two cubes": 0.12, "sphere and torus": 0.12}
+COPIES = (1, 2, 4, 8, 16)
+SEEDS = range(10)
+TURNS = ((0, 0, 0), (90, 0, 0), (17, 33, 71), (-50, 10, 45), (120, -65, 200), (5, 5, 5))
+"""Degrees about x, y and z."""
+
+ACCURACY_NOTE = """\
+acc: distance from the mesh to the true surface; comp: from the true surface, as far as it lies within 10 cm of a hit,
+to the mesh; each mean / 95 % quantile in cm. P, R, F: precision, recall and their harmonic mean at 5 and 2 cm, in %.
+normals: mean |cos| between normals, both ways. open: boundary edges (loops). bad: non-manifold edges + vertices.
+cross: share of faces that cross others, in %, and MeshLab's count where pymeshlab is installed (it counts touching
+faces, too). parts: connected components. s: wall time of a run after one on a few points; MB: peak memory of the whole
+process."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table: sections of rows, each row a value a column."""
+
+    title: str
+    note: str
+    sections: dict[str, list[Row]]
+    pictures: list[str] = field(default_factory=list)
+
+    def markdown(self) -> str:
+        """As in docs/benchmarks.md."""
+        lines = [f"## {self.title}", "", self.note, ""]
+        for title, rows in self.sections.items():
+            if not rows:
+                continue
+            columns = list(dict.fromkeys(column for row in rows for column in row))
+            lines += [f"### {title}", ""] if title else []
+            lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+            lines += ["| " + " | ".join(str(row.get(column, "")) for column in columns) + " |" for row in rows]
+            lines.append("")
+        lines += [line for picture in self.pictures for line in (f"![{Path(picture).stem}]({picture})", "")]
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What all tables need. clouds: for table peers, empty for all. methods: those installed."""
+
+    data: Path | None
+    out: Path
+    quick: bool
+    clouds: tuple[str, ...]
+    peers_python: str
+    methods: tuple[peers.Method, ...]
+    has_meshlab: bool
+    scratch: Path
+
+    def shared(self, *parts: str) -> Path | None:
+        """A file or folder of --data; None where there is none."""
+        path = self.data.joinpath(*parts) if self.data else None
+        return path if path and path.exists() else None
+
+    def mesh_of(
+        self, method: peers.Method, cloud: Cloud, *, spacing: float = 0.2, repeats: int = 1
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64], dict[str, Any]]:
+        """Vertices, faces, and seconds and memory of a method in a process of its own."""
+        points, mesh = self.scratch / "cloud.npz", self.scratch / "mesh.npz"
+        np.savez(points, points=cloud.points, **({} if cloud.sensor is None else {"sensor": cloud.sensor}))
+        python = sys.executable if method.name == peers.OURS else self.peers_python
+        cost = peers.call(python, method.name, points, mesh, "--spacing", spacing, "--repeats", repeats)
+        made = np.load(mesh)
+        return made["vertices"].astype(float), made["faces"].astype(np.int64), cost
+
+    def crossings(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> str:
+        """MeshLab's count of faces that cross others, in parentheses; nothing where it is not installed."""
+        if not self.has_meshlab:
+            return ""
+        mesh = self.scratch / "crossings.npz"
+        np.savez(mesh, vertices=vertices, faces=faces)
+        return f" ({peers.call(self.peers_python, 'crossings', mesh, mesh)['crossings']:,})"
+
+
+def truth_of(scanned: clouds.Scanned) -> TrueSurface:
+    """What a mesh of a cloud is measured against."""
+    return TrueSurface(scanned.vertices, scanned.faces, scanned.clean if len(scanned.clean) else None)
+
+
+def load(path: Path) -> clouds.Scanned:
+    """A cloud with its truth from an NPZ file of the layout of benchmarks/clouds.py."""
+    data = np.load(path)
+    return clouds.Scanned(
+        data["points"].astype(float),
+        data["sensor"].astype(float) if "sensor" in data else None,
+        data["clean"].astype(float) if "clean" in data else np.empty((0, 3)),
+        data["truth_vertices"].astype(float),
+        data["truth_faces"].astype(np.int64),
+    )
+
+
+def figures(bench: Bench, scanned: clouds.Scanned, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Row:
+    """The columns about a mesh."""
+    score = score_surface(truth_of(scanned), vertices, faces, workers=0)
+    at_5, at_2 = score.at
+    return {
+        "faces": f"{len(faces):,}",
+        "acc": f"{100 * score.accuracy:.2f} / {100 * score.accuracy_95:.2f}",
+        "comp": f"{100 * score.completeness:.2f} / {100 * score.completeness_95:.2f}",
+        "P5 / R5": f"{100 * at_5.precision:.1f} / {100 * at_5.recall:.1f}",
+        "F5": f"{100 * at_5.f_score:.1f}",
+        "F2": f"{100 * at_2.f_score:.1f}",
+        "normals": f"{score.normals:.3f}",
+    } | soundness(bench, vertices, faces)
+
+
+def soundness(bench: Bench, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Row:
+    """The columns about how the faces of a mesh hang together."""
+    found = topology(vertices, faces)
+    return {
+        "open": f"{found.boundary_edges:,} ({found.loops:,})",
+        "bad": f"{found.nonmanifold_edges:,} + {found.nonmanifold_vertices:,}",
+        "cross": f"{100 * found.self_intersecting:.2f}{bench.crossings(vertices, faces)}",
+        "parts": f"{found.components:,}",
+    }
+
+
+def cost_of(cost: dict[str, Any]) -> Row:
+    """The columns about time and memory."""
+    return {"s": f"{cost['seconds']:.1f}", "MB": f"{cost['peak_mb']:.0f}"}
+
+
+def generated() -> dict[str, Callable[[], clouds.Scanned]]:
+    """The clouds that are made here."""
+    buildings = {name: functools.partial(clouds.make, name) for name in clouds.BUILDINGS}
+    return buildings | {"two cubes": clouds.two_cubes, "sphere and torus": clouds.solids}
+
+
+def shared(bench: Bench, names: Sequence[str] = SHARED) -> dict[str, Callable[[], clouds.Scanned]]:
+    """The clouds in --data."""
+    paths = {name: bench.shared("surfaces", f"{name}.npz") for name in names}
+    return {name: functools.partial(load, path) for name, path in paths.items() if path}
+
+
+def ours() -> peers.Method:
+    """The method that is g2_recon."""
+    return peers.METHODS[peers.OURS]
+
+
+def table_peers(bench: Bench) -> Table:
+    """Ours beside other programs on all clouds."""
+    sections: dict[str, list[Row]] = {}
+    sources = shared(bench) | generated()
+    if bench.quick:
+        sources = {"offices_half": functools.partial(clouds.make, "offices_half"), "two cubes": clouds.two_cubes}
+    for name, made in sources.items():
+        if bench.clouds and name not in bench.clouds:
+            continue
+        scanned = made()
+        rows = sections[f"{name}: {len(scanned.points):,} points"] = []
+        for method in bench.methods:
+            log.info("peers: %s, %s", name, method.name)
+            spacing = SPACINGS.get(name, 0.2)
+            try:
+                repeats = 3 if method.name == peers.OURS else 1
+                vertices, faces, cost = bench.mesh_of(method, scanned.cloud(), spacing=spacing, repeats=repeats)
+                row = cost_of(cost) | figures(bench, scanned, vertices, faces)
+            except RuntimeError as error:
+                row = {"s": f"failed: {error}"}
+            rows.append({"method": method.name} | row)
+    left_out = [name for name, method in peers.METHODS.items() if method not in bench.methods]
+    note = f"{ACCURACY_NOTE} g2_recon at its defaults, but a spacing of 12 cm for clouds of things of 1 m."
+    if left_out:
+        note += f"\n\nNot installed here and left out: {'; '.join(left_out)}."
+    return Table("Beside other programs", note, sections)
+
+
+def table_robustness(bench: Bench) -> Table:
+    """Ours on other noise, sampling and poses."""
+    sections: dict[str, list[Row]] = {}
+    variants = ("s3", "out") if bench.quick else ("", *clouds.VARIANTS)
+    for building in ("offices",) if bench.quick else ("offices", "hall", "corridor"):
+        rows = sections[building] = []
+        for variant in variants:
+            name = f"{building}_{variant}" if variant else building
+            log.info("robustness: %s", name)
+            scanned = clouds.make(name)
+            result = reconstruct(scanned.cloud(), ReconstructionConfig()).mesh
+            row = figures(bench, scanned, result.vertices, result.faces)
+            rows.append({"cloud": name, "points": f"{len(scanned.points):,}"} | row)
+    note = (
+        "Names as in `benchmarks/clouds.py`: s05, s2, s3: noise of 0.5, 2, 3 cm instead of 1 cm; out: 1 % of the beams "
+        "cut short by something in the air, and mixed pixels; drift: poses up to 5 cm and 0.5 deg off; half, double: a "
+        "scan each 13 or 3.25 cm; fine: a beam each 0.5 deg; round: two lasers back to back at 1.2 m, so that the "
+        "floor is seen; level: not rotated; nosensor: without sensor positions. Columns as above."
+    )
+    return Table("Noise, sampling, poses", note, sections)
+
+
+_STEADY = ("F5", "F2", "acc", "comp", "normals", "faces", "loops", "cross")
+
+
+def table_steadiness(bench: Bench) -> Table:
+    """Ours with other seeds, on turned and on shuffled clouds."""
+    sections: dict[str, list[Row]] = {}
+    sources = [(name, made()) for name, made in shared(bench, ("floor_rot",)).items()]
+    sources += [(name, clouds.make(name)) for name in (("offices_half",) if bench.quick else ("offices", "hall"))]
+    for name, scanned in sources:
+        runs = {
+            "seeds": [(scanned, seed) for seed in (SEEDS[:3] if bench.quick else SEEDS)],
+            "rotations": [(turned(scanned, turn), 0) for turn in (TURNS[:2] if bench.quick else TURNS)],
+            "orders of points": [(shuffled(scanned, seed), 0) for seed in range(2 if bench.quick else 4)],
+        }
+        rows = sections[name] = []
+        for kind, cases in runs.items():
+            log.info("steadiness: %s, %s", name, kind)
+            numbers = np.array([_steady(case, seed) for case, seed in cases])
+            # More is better for F-scores and normals, less for the others.
+            more = np.array([column in ("F5", "F2", "normals") for column in _STEADY])
+            for what, values in (
+                ("mean", numbers.mean(axis=0)),
+                ("worst", np.where(more, numbers.min(axis=0), numbers.max(axis=0))),
+                ("largest - smallest", np.ptp(numbers, axis=0)),
+            ):
+                shown = {c: f"{v:.4g}" if c != "faces" else f"{v:.0f}" for c, v in zip(_STEADY, values, strict=True)}
+                rows.append({"of": f"{len(cases)} {kind}", "": what} | shown)
+    note = "acc and comp: means in cm; cross: share of faces in %, as counted here; the rest as above."
+    return Table("Seeds, rotations, order of points", note, sections)
+
+
+def _steady(scanned: clouds.Scanned, seed: int) -> list[float]:
+    mesh = reconstruct(scanned.cloud(), ReconstructionConfig(seed=seed)).mesh
+    score = score_surface(truth_of(scanned), mesh.vertices, mesh.faces, workers=0)
+    return [
+        *(100 * at.f_score for at in score.at),
+        100 * score.accuracy,
+        100 * score.completeness,
+        score.normals,
+        score.topology.faces,
+        score.topology.loops,
+        100 * score.topology.self_intersecting,
+    ]
+
+
+def turned(scanned: clouds.Scanned, degrees: tuple[float, float, float]) -> clouds.Scanned:
+    """A cloud and its truth, rotated."""
+    turn = Rotation.from_euler("xyz", degrees, degrees=True).apply
+    sensor = None if scanned.sensor is None else turn(scanned.sensor)
+    clean = turn(scanned.clean) if len(scanned.clean) else scanned.clean
+    return clouds.Scanned(turn(scanned.points), sensor, clean, turn(scanned.vertices), scanned.faces)
+
+
+def shuffled(scanned: clouds.Scanned, seed: int) -> clouds.Scanned:
+    """The same points in another order."""
+    order = np.random.default_rng(seed).permutation(len(scanned.points))
+    sensor = None if scanned.sensor is None else scanned.sensor[order]
+    return clouds.Scanned(scanned.points[order], sensor, scanned.clean, scanned.vertices, scanned.faces)
+
+
+def table_fine(bench: Bench) -> Table:
+    """Small things, at a spacing of 12 cm."""
+    rows = []
+    sources = shared(bench) | generated()
+    for name in SPACINGS:
+        if name not in sources:
+            continue
+        log.info("fine: %s", name)
+        scanned = sources[name]()
+        vertices, faces, cost = bench.mesh_of(ours(), scanned.cloud(), spacing=0.12, repeats=3)
+        rows.append({"cloud": name} | cost_of(cost) | figures(bench, scanned, vertices, faces))
+    return Table("Cubes and curved solids, spacing 12 cm", "Columns as above.", {"": rows})
+
+
+def table_growth(bench: Bench) -> Table:
+    """Time and memory over the number of points."""
+    path = bench.shared("surfaces", "floor_rot.npz")
+    base = load(path).cloud() if path else clouds.make("offices").cloud()
+    rows, counts, seconds, peaks = [], [], [], []
+    for copies in COPIES[:2] if bench.quick else COPIES:
+        log.info("growth: x %d", copies)
+        _, faces, cost = bench.mesh_of(ours(), clouds.tiled(base, copies), repeats=2 if copies < 8 else 1)
+        counts.append(cost["points"])
+        seconds.append(cost["seconds"])
+        peaks.append(cost["peak_mb"])
+        rows.append(
+            {
+                "copies": copies,
+                "points": f"{cost['points']:,}",
+                **cost_of(cost),
+                "CPU s": f"{cost['cpu_seconds']:.1f}",
+                "us a point": f"{1e6 * cost['seconds'] / cost['points']:.1f}",
+                "faces": f"{len(faces):,}",
+            }
+        )
+    exponents = [float(np.polyfit(np.log(counts), np.log(values), 1)[0]) for values in (seconds, peaks)]
+    draw_growth(bench.out / "growth.png", counts, seconds, peaks)
+    note = (
+        f"{'floor_rot' if path else 'offices'}, copied side by side 1 m apart. Over the number of points, time grows "
+        f"with exponent {exponents[0]:.2f} and peak memory, that of the program itself included, with "
+        f"{exponents[1]:.2f}; 1 is proportional."
+    )
+    return Table("Growth", note, {"": rows}, ["growth.png"])
+
+
+def draw_growth(path: Path, counts: Sequence[int], seconds: Sequence[float], peaks: Sequence[float]) -> None:
+    """Time and memory over points, both logarithmic, with what grows as the points do."""
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    for number, (values, unit, limit) in enumerate(((seconds, "s", 20), (peaks, "MB", 3000)), start=1):
+        axes = figure.add_subplot(1, 2, number)
+        axes.loglog(counts, values, "o-", label="measured")
+        axes.loglog(counts, [values[0] * count / counts[0] for count in counts], "--", label="as the points grow")
+        axes.axhline(limit, color="tab:red", lw=0.8, label=f"{limit} {unit}")
+        axes.set(xlabel="thousand points", ylabel="time [s]" if unit == "s" else "peak memory [MB]")
+        axes.set_xticks(counts, [f"{count / 1000:.0f}" for count in counts])
+        axes.set_xticks([], minor=True)
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.grid(alpha=0.3)
+        axes.legend()
+    figure.savefig(path, dpi=100)
+
+
+def table_files(bench: Bench) -> Table:
+    """Meshes of others, sampled with noise, and real scans of a room."""
+    solids, rooms, drawn = [], [], {}
+    for name in ("stanford-bunny", "fandisk", "rocker-arm"):
+        path = bench.shared("meshes", f"{name}.obj.gz")
+        if path:
+            log.info("files: %s", name)
+            scanned = sampled(path, count=100_000)
+            drawn[name] = mesh = reconstruct(scanned.cloud(), ReconstructionConfig(spacing=0.1)).mesh
+            row = figures(bench, scanned, mesh.vertices, mesh.faces)
+            solids.append({"mesh": name, "points": f"{len(scanned.points):,}"} | row)
+    for name in ("room_scan1", "room_scan2"):
+        path = bench.shared("sweeps", "pcl_room", f"{name}.pcd")
+        if path:
+            log.info("files: %s", name)
+            cloud = read_cloud(path)
+            result = reconstruct(cloud, ReconstructionConfig())
+            drawn[name] = mesh = result.mesh
+            row = {"faces": f"{len(mesh.faces):,}"} | soundness(bench, mesh.vertices, mesh.faces)
+            rooms.append({"scan": name, "points": f"{len(cloud):,}", "of them used": f"{result.points:,}"} | row)
+    note = (
+        "Meshes scaled to a diagonal of 10 m, sampled evenly with normal noise of 1 cm (0.1 %), without sensor "
+        "positions, at a spacing of 10 cm; then two real scans of a room, at the defaults. Columns as above; of the "
+        "room no truth is known. The bunny is from the Stanford 3D Scanning Repository, the room from the Point Cloud "
+        "Library."
+    )
+    if not drawn:
+        return Table("Meshes and scans from files", "Not made: this needs --data.", {})
+    pictures.draw_meshes(bench.out / "files.png", list(drawn.values()), list(drawn))
+    return Table("Meshes and scans from files", note, {"Sampled meshes": solids, "Room": rooms}, ["files.png"])
+
+
+def sampled(path: Path, count: int) -> clouds.Scanned:
+    """Points evenly on a mesh in a packed OBJ file, made 10 m large, with 1 cm of noise."""
+    mesh = trimesh.load(io.BytesIO(gzip.decompress(path.read_bytes())), file_type="obj", process=False, force="mesh")
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+    vertices = vertices * 10 / np.linalg.norm(np.ptp(vertices, axis=0))
+    clean, _ = sample_surface(vertices, faces, count, 0)
+    noise = np.random.default_rng(0).normal(0, 0.01, clean.shape)
+    return clouds.Scanned(clean + noise, None, clean, vertices, faces)
+
+
+TABLES: dict[str, Callable[[Bench], Table]] = {
+    "peers": table_peers,
+    "robustness": table_robustness,
+    "steadiness": table_steadiness,
+    "fine": table_fine,
+    "growth": table_growth,
+    "files": table_files,
+}
+
+
+def machine() -> str:
+    """What this ran on, in words."""
+    info = Path("/proc/cpuinfo")
+    models = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
+    model = models[0] if models else platform.processor()
+    return f"{os.cpu_count()} cores of {model}, Python {platform.python_version()}, NumPy {np.__version__}"
+
+
+def page(out: Path) -> str:
+    """All tables that are in a folder, as one page."""
+    found = [out / f"{name}.json" for name in TABLES if (out / f"{name}.json").exists()]
+    read = [json.loads(path.read_text()) for path in found]
+    where = sorted({entry["machine"] for entry in read})
+    names = ", ".join(TABLES)
+    head = f"""\
+# Benchmarks of the surfaces
+
+Made by
+
+    python benchmarks/surface.py --data FOLDER
+
+which takes about half an hour. `--only TABLE` makes one of {names} anew;
+`--quick` shows in a few minutes that all of it runs. The result is in `out/benchmarks/`; this page and its pictures are
+copied from there.
+`pip install open3d pymeshlab` brings the other programs; where they have an environment of their own, `--peers-python`
+names its Python. FOLDER holds `surfaces/` with clouds and their truth (NPZ, as `benchmarks/clouds.py` writes them),
+`meshes/` and `sweeps/pcl_room/`; without `--data` only the clouds are used that `benchmarks/clouds.py` makes: buildings
+that are known exactly, scanned by an upright LMS200 that drives through them.
+
+Here: {"; ".join(where)}.
+"""
+    return "\n".join([head, *(Table(**entry["table"]).markdown() for entry in read)]).rstrip() + "\n"
+
+
+def main() -> None:
+    """Make the tables that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, help="folder with clouds, meshes and scans that are not in the repository")
+    parser.add_argument(
+        "--only", nargs="+", choices=TABLES, default=list(TABLES), metavar="TABLE", help=", ".join(TABLES)
+    )
+    parser.add_argument("--quick", action="store_true", help="few and small clouds, to see that it runs")
+    parser.add_argument("--clouds", nargs="+", default=(), metavar="NAME", help="table peers of these clouds only")
+    parser.add_argument("--out", type=Path, default=Path("out/benchmarks"))
+    parser.add_argument("--peers-python", default=sys.executable, help="the Python that has open3d and pymeshlab")
+    given = parser.parse_args()
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    log.setLevel(logging.INFO)
+    given.out.mkdir(parents=True, exist_ok=True)
+    installed = peers.call(given.peers_python, "installed") | {"g2_recon": True}
+    with tempfile.TemporaryDirectory() as scratch:
+        bench = Bench(
+            data=given.data,
+            out=given.out,
+            quick=given.quick,
+            clouds=tuple(given.clouds),
+            peers_python=given.peers_python,
+            methods=tuple(method for method in peers.METHODS.values() if installed[method.needs]),
+            has_meshlab=installed["pymeshlab"],
+            scratch=Path(scratch),
+        )
+        for name in given.only:
+            entry = {"machine": machine(), "table": asdict(TABLES[name](bench))}
+            (given.out / f"{name}.json").write_text(json.dumps(entry, indent=1) + "\n")
+            (given.out / "benchmarks.md").write_text(page(given.out))
+    log.info("%s", given.out / "benchmarks.md")
+
+
+if __name__ == "__main__":
+    main()
