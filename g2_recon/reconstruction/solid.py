@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -33,6 +34,7 @@ from g2_recon.reconstruction.mesh_repair import (
     remove_crossings,
     split_pinched,
 )
+from g2_recon.reconstruction.own_frame import own_frame
 from g2_recon.reconstruction.result import Reconstruction
 from g2_recon.reconstruction.support import supported
 from g2_recon.reconstruction.surface_points import SurfacePoints, prepare
@@ -68,10 +70,12 @@ def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: P
     Raises InputError where the cloud has too few points on a surface.
     """
     workers = config.workers or os.cpu_count() or 1
-    surface = _reported(lambda: find_surface(cloud, config, workers), "normals", progress)
+    frame = own_frame(cloud.points)
+    surface = _reported(lambda: find_surface(frame.of(cloud), config, workers), "normals", progress)
     clusters = _reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
     submaps, owner = build_submaps(surface, clusters, config, workers, progress)
     mesh = _reported(lambda: triangulate(surface, submaps, owner, config, workers), "joining", progress)
+    mesh = replace(mesh, vertices=frame.back(mesh.vertices))
     error = np.linalg.norm(surface.points - submaps.vertices[owner], axis=1)[owner >= 0].mean()
     return Reconstruction(
         wire_mesh=wire_of(mesh),

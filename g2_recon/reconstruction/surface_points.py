@@ -184,9 +184,11 @@ def _spatial_order(points: Float, voxel: float) -> tuple[Codes, Int]:
             f"the cloud is {extent:g} m wide, more than {_MOST_VOXELS} voxels of {voxel:g} m",
             advice="leave out points that are far off, or choose a larger spacing",
         )
-    codes = _morton_codes(points, voxel)
+    # As fine as the codes can be, so that the order is one of places and hardly ever that of the input.
+    finer = int(np.log2(_MOST_VOXELS * voxel / extent) - 1e-9) if extent > 0 else 0
+    codes = _morton_codes(points, voxel / 2**finer)
     order = np.argsort(codes, kind="stable")
-    return codes[order], order
+    return codes[order] >> np.uint64(3 * finer), order
 
 
 @numba.njit(cache=True, nogil=True)
