@@ -132,3 +132,21 @@ def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
                     if dx * dx + dy * dy + dz * dz <= distance * distance:
                         return True
     return False
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_point(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
+    """Number, before sorting, of the point nearest to the place (x, y, z) within `distance` metres; -1 for none."""
+    i, j, k = cell_of(grid, x, y, z)
+    rings = math.ceil(distance / grid.cell)
+    nearest, least = -1, distance * distance
+    for di in range(-rings, rings + 1):
+        for dj in range(-rings, rings + 1):
+            for dk in range(-rings, rings + 1):
+                begin, end = points_in_cell(grid, i + di, j + dj, k + dk)
+                for row in range(begin, end):
+                    dx, dy, dz = grid.points[row, 0] - x, grid.points[row, 1] - y, grid.points[row, 2] - z
+                    square = dx * dx + dy * dy + dz * dz
+                    if square < least or (square == least and (nearest < 0 or grid.order[row] < nearest)):
+                        nearest, least = grid.order[row], square
+    return nearest

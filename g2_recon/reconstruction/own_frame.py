@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""A frame that a cloud has of itself, so that what is made of it does not depend on where it lies and how it is turned."""
+"""A frame that a cloud has of itself: what is made of it does not depend on where it lies and how it is turned."""
 
 from __future__ import annotations
 

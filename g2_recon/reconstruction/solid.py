@@ -36,7 +36,7 @@ from g2_recon.reconstruction.mesh_repair import (
 )
 from g2_recon.reconstruction.own_frame import own_frame
 from g2_recon.reconstruction.result import Reconstruction
-from g2_recon.reconstruction.support import supported
+from g2_recon.reconstruction.support import on_own_data, supported
 from g2_recon.reconstruction.surface_points import SurfacePoints, prepare
 
 Float = NDArray[np.float64]
@@ -150,6 +150,8 @@ def triangulate(
     owner = np.where(owner >= 0, number[owner], -1)
     neurons, normals, submap = submaps.vertices[used], submaps.normals[used], submaps.submap[used]
     cells = number[submaps.faces[sound_cells(submaps, grid, near)]]
+    point_submap = np.where(owner >= 0, submap[owner], -1)
+    cells = cells[on_own_data(neurons, cells, submap[cells[:, 0]], grid, point_submap, near)]
     cells = cells[remove_crossings(neurons, cells, neurons)[1]]
     edge = _usual_edge(neurons, cells, config.spacing)
     joins = join_submaps(

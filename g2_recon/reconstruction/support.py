@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry.point_grid import PointGrid, has_point_near
+from g2_recon.geometry.point_grid import PointGrid, has_point_near, nearest_point
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -47,4 +47,26 @@ def _supported(vertices, faces, grid, distance):  # type: ignore[no-untyped-def]
     mask = np.empty(len(faces), np.bool_)
     for face in range(len(faces)):
         mask[face] = triangle_supported(vertices, faces[face, 0], faces[face, 1], faces[face, 2], grid, distance)
+    return mask
+
+
+def on_own_data(
+    vertices: Float, faces: Int, submap: Int, grid: PointGrid, label: Int, distance: float
+) -> NDArray[np.bool_]:
+    """Mask (F,) of the faces (F, 3) for which the point nearest to their middle belongs to their own submap.
+
+    Others reach over the data of a neighbor, who covers it as well. submap: (F,). label: (N,) the submap of each point,
+    -1 for none. distance: m, farther points do not count.
+    """
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    middle = vertices[faces].mean(axis=1)
+    return np.asarray(_on_own_data(middle, submap, grid, label, float(distance)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _on_own_data(middle, submap, grid, label, distance):  # type: ignore[no-untyped-def]
+    mask = np.zeros(len(middle), np.bool_)
+    for face in range(len(middle)):
+        nearest = nearest_point(grid, middle[face, 0], middle[face, 1], middle[face, 2], distance)
+        mask[face] = nearest >= 0 and label[nearest] == submap[face]
     return mask
