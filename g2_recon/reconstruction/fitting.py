@@ -20,8 +20,9 @@ Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _ROUNDS = 2
-# How much an uneven movement counts beside the squared distances of the points of a vertex, about fifteen of them.
-_SMOOTHNESS = 1.0
+# How much an uneven movement counts beside the squared distances of the points of a vertex, some fifteen: less lets the
+# surface follow the noise of single points.
+_SMOOTHNESS = 10.0
 # Without any point a vertex stays where it is.
 _HOLD = 1e-3
 _PRECISION = 1e-6

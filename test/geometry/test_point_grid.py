@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from g2_recon.errors import InputError
-from g2_recon.geometry.point_grid import has_point_near, point_grid, points_in_cell
+from g2_recon.geometry.point_grid import has_point_near, nearest_point, point_grid, points_in_cell
 
 
 @pytest.mark.parametrize("cell", [0.05, 0.2 / np.sqrt(3), 0.7])
@@ -47,3 +47,13 @@ def test_points_that_are_not_finite_are_refused():
 def test_a_cell_needs_a_size():
     with pytest.raises(InputError, match="cell edge"):
         point_grid(np.zeros((1, 3)), cell=0.0)
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.2 / np.sqrt(3), 0.7])
+def test_the_nearest_point_is_that_of_a_tree(cell):
+    rng = np.random.default_rng(1)
+    points, places = rng.uniform(-1, 1, (300, 3)), rng.uniform(-1.5, 1.5, (500, 3))
+    grid = point_grid(points, cell=cell)
+    distance, nearest = cKDTree(points).query(places)
+    expected = np.where(distance < 0.2, nearest, -1)
+    assert [nearest_point(grid, *place, 0.2) for place in places] == expected.tolist()
