@@ -262,8 +262,7 @@ def fill_small_loops(
     triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size)
     support = np.bincount(loop, supported(vertices, triangles, grid, support_distance), len(loops))
     accepted = support > support_share * np.maximum(size - 2, 1)
-    aside = ~_goes_on(vertices, triangles, _vertex_normals(vertices, faces))
-    accepted &= np.bincount(loop, aside, len(loops)) == 0
+    accepted &= _goes_on(vertices, triangles, loop, len(loops), _vertex_normals(vertices, faces))
     accepted &= ~_backs(faces, loops, size, len(vertices))
     accepted &= _keeps_manifold(faces, triangles, loop, size, accepted, len(vertices))
     while True:
@@ -276,13 +275,16 @@ def fill_small_loops(
         accepted[loop[chosen][crossing]] = False
 
 
-def _goes_on(vertices: Float, triangles: Int, normals: Float) -> Mask:
-    """Mask (T,) of the triangles that go on with the surface around them, unlike a lid across the end of a column.
+def _goes_on(vertices: Float, triangles: Int, loop: Int, count: int, normals: Float) -> Mask:
+    """Mask (count,) of the loops whose triangles go on with the surface around, unlike a lid on the end of a column.
 
-    They face within 78 deg of the normals (V, 3) of the vertices at their corners, on average of the three.
+    loop: (T,) of each triangle. On average over their area they face within 78 deg of the normals (V, 3) of the
+    vertices at their corners.
     """
-    normal = _unit(_area_vectors(vertices, triangles))
-    return np.asarray(np.einsum("ti,tki->t", normal, _unit(normals)[triangles]) / 3 > _LEAST_AGREEMENT)
+    area = _area_vectors(vertices, triangles)
+    along = np.einsum("ti,tki->t", area, _unit(normals)[triangles]) / 3
+    size = np.bincount(loop, np.linalg.norm(area, axis=1), count)
+    return np.asarray(np.bincount(loop, along, count) > _LEAST_AGREEMENT * size)
 
 
 def _unit(vectors: Float) -> Float:
