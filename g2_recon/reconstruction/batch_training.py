@@ -38,7 +38,8 @@ def train_sheet(x, y, z, weights, neurons, rows, columns, hexagonal, epochs, bmu
     is shifted by half a step. bmu: (N,) gets the best matching unit of each point. Coordinates are around the middle of
     the points, as the search is in single precision.
     """
-    order, begin = _by_tiles(x, y, rows, columns)
+    tiles = max(1, rows // _TILE), max(1, columns // _TILE)
+    order, begin = _by_tiles(x, y, tiles)
     points = np.empty((3, len(x)), np.float32)
     weight = np.empty(len(x))
     for k in range(len(order)):
@@ -51,19 +52,19 @@ def train_sheet(x, y, z, weights, neurons, rows, columns, hexagonal, epochs, bmu
     across = math.sqrt(0.75) if hexagonal else 1.0
     start = max(min(max(rows * across, columns) / 2.0, _WIDEST_START), _WIDTH_END)
     for epoch in range(epochs):
-        _search(points, begin, boxes, neurons, rows, columns, nearest)
+        _search(points, begin, boxes, neurons, rows, columns, tiles, nearest)
         _sum_by_neuron(points, weight, nearest, sums.reshape(-1, 4))
         width = start * (_WIDTH_END / start) ** (epoch / max(epochs - 1, 1))
         _pull(neurons, sums, rows, columns, hexagonal, width, across, least)
-    _search(points, begin, boxes, neurons, rows, columns, nearest)
+    _search(points, begin, boxes, neurons, rows, columns, tiles, nearest)
     for k in range(len(order)):
         bmu[order[k]] = nearest[k]
 
 
 @numba.njit(cache=True, nogil=True)
-def _by_tiles(x, y, rows, columns):  # type: ignore[no-untyped-def]
+def _by_tiles(x, y, tiles):  # type: ignore[no-untyped-def]
     """An order (N,) of the points in which those of a tile follow each other, and where each tile begins (T + 1,)."""
-    tiles_x, tiles_y = max(1, rows // _TILE), max(1, columns // _TILE)
+    tiles_x, tiles_y = tiles
     begin = np.zeros(tiles_x * tiles_y + 1, np.int64)
     if len(begin) == 2:
         begin[1] = len(x)
@@ -97,78 +98,78 @@ def _boxes(points, begin):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _search(points, begin, boxes, neurons, rows, columns, bmu):  # type: ignore[no-untyped-def]
+def _search(points, begin, boxes, neurons, rows, columns, tiles, bmu):  # type: ignore[no-untyped-def]
     """The best matching unit (N,) of each of the points (3, N)."""
     count = len(neurons)
-    columns_of = np.empty((3, (count + 3) // 4 * 4), np.float32)
-    number = np.empty(columns_of.shape[1], np.int32)
+    columns_of = np.full((3, (count + 3) // 4 * 4), _FAR_OFF, np.float32)
+    number = np.zeros(columns_of.shape[1], np.int32)
     if len(boxes) == 1:
-        columns_of[:, count:] = _FAR_OFF
         for j in range(count):
             columns_of[0, j], columns_of[1, j], columns_of[2, j] = neurons[j, 0], neurons[j, 1], neurons[j, 2]
             number[j] = j
         _nearest(points, 0, points.shape[1], columns_of, number, len(number), bmu)
         return
-    tiles, neuron_boxes = _tiles_of_neurons(neurons, rows, columns)
+    strips, patches = _boxes_of_neurons(neurons, rows, columns, tiles)
     for tile in range(len(boxes)):
         if begin[tile] < begin[tile + 1]:
-            chosen = _near_tile(boxes[tile], neurons, columns, tiles, neuron_boxes, columns_of, number)
+            chosen = _near_tile(tile, boxes[tile], neurons, rows, columns, strips, patches, columns_of, number)
             _nearest(points, begin[tile], begin[tile + 1], columns_of, number, chosen, bmu)
 
 
 @numba.njit(cache=True, nogil=True)
-def _tiles_of_neurons(neurons, rows, columns):  # type: ignore[no-untyped-def]
-    """First and last row and column (S, 4) of tiles of the lattice, and the boxes (S, 2, 3) of their neurons."""
-    tiles_x, tiles_y = (rows + _TILE - 1) // _TILE, (columns + _TILE - 1) // _TILE
-    tiles = np.empty((tiles_x * tiles_y, 4), np.int64)
-    boxes = np.empty((len(tiles), 2, 3))
-    boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
-    for s in range(len(tiles)):
-        row, column = s // tiles_y * _TILE, s % tiles_y * _TILE
-        tiles[s] = row, min(row + _TILE, rows), column, min(column + _TILE, columns)
-        for r in range(tiles[s, 0], tiles[s, 1]):
-            for j in range(r * columns + tiles[s, 2], r * columns + tiles[s, 3]):
-                for axis in range(3):
-                    boxes[s, 0, axis] = min(boxes[s, 0, axis], neurons[j, axis])
-                    boxes[s, 1, axis] = max(boxes[s, 1, axis], neurons[j, axis])
-    return tiles, boxes
+def _boxes_of_neurons(neurons, rows, columns, tiles):  # type: ignore[no-untyped-def]
+    """Lowest and highest coordinates of the neurons of each row of tiles (S, 2, 3) and of each tile (S, T, 2, 3)."""
+    strips, patches = np.empty((tiles[0], 2, 3)), np.empty((tiles[0], tiles[1], 2, 3))
+    strips[:, 0], strips[:, 1], patches[:, :, 0], patches[:, :, 1] = np.inf, -np.inf, np.inf, -np.inf
+    for j in range(len(neurons)):
+        s, t = j // columns * tiles[0] // rows, j % columns * tiles[1] // columns
+        for axis in range(3):
+            place = neurons[j, axis]
+            strips[s, 0, axis], strips[s, 1, axis] = min(strips[s, 0, axis], place), max(strips[s, 1, axis], place)
+            patches[s, t, 0, axis] = min(patches[s, t, 0, axis], place)
+            patches[s, t, 1, axis] = max(patches[s, t, 1, axis], place)
+    return strips, patches
 
 
 @numba.njit(cache=True, nogil=True)
-def _near_tile(box, neurons, columns, tiles, neuron_boxes, columns_of, number):  # type: ignore[no-untyped-def]
+def _near_tile(tile, box, neurons, rows, columns, strips, patches, columns_of, number):  # type: ignore[no-untyped-def]
     """How many neurons may be the nearest to a point in the box (2, 3); columns_of and number get them, filled up to 4.
 
-    No other can be: one neuron is nearer to all of the box than these to any of it.
+    No other can be: some neuron is nearer to all of the box than these to any of it. One of the same tile of the
+    lattice is, where the map lies over the points about as it did at first.
     """
-    middle, closest = 0, np.inf
-    for s in range(len(tiles)):
-        gap = 0.0
-        for axis in range(3):
-            off = (neuron_boxes[s, 0, axis] + neuron_boxes[s, 1, axis]) - (box[0, axis] + box[1, axis])
-            gap += off * off
-        if gap < closest:
-            middle, closest = s, gap
+    tiles_y = patches.shape[1]
     reach = np.inf
-    for r in range(tiles[middle, 0], tiles[middle, 1]):
-        for j in range(r * columns + tiles[middle, 2], r * columns + tiles[middle, 3]):
-            reach = min(reach, _farthest(box, neurons[j]))
+    for r in range(*_part(tile // tiles_y, len(patches), rows)):
+        for c in range(*_part(tile % tiles_y, tiles_y, columns)):
+            reach = min(reach, _farthest(box, neurons[r * columns + c]))
     # Rounding to single precision must not leave out the nearest.
     reach *= 1.0001
     chosen = 0
-    for s in range(len(tiles)):
-        if _gap(box, neuron_boxes[s, 0], neuron_boxes[s, 1]) > reach:
+    for s in range(len(patches)):
+        if _gap(box, strips[s, 0], strips[s, 1]) > reach:
             continue
-        for r in range(tiles[s, 0], tiles[s, 1]):
-            for j in range(r * columns + tiles[s, 2], r * columns + tiles[s, 3]):
-                if _gap(box, neurons[j], neurons[j]) <= reach:
-                    for axis in range(3):
-                        columns_of[axis, chosen] = neurons[j, axis]
-                    number[chosen] = j
-                    chosen += 1
+        for t in range(tiles_y):
+            if _gap(box, patches[s, t, 0], patches[s, t, 1]) > reach:
+                continue
+            for r in range(*_part(s, len(patches), rows)):
+                for c in range(*_part(t, tiles_y, columns)):
+                    j = r * columns + c
+                    if _gap(box, neurons[j], neurons[j]) <= reach:
+                        for axis in range(3):
+                            columns_of[axis, chosen] = neurons[j, axis]
+                        number[chosen] = j
+                        chosen += 1
     while chosen % 4:
         columns_of[:, chosen] = _FAR_OFF
         chosen += 1
     return chosen
+
+
+@numba.njit(cache=True, nogil=True)
+def _part(part, parts, count):  # type: ignore[no-untyped-def]
+    """The first of `count` that is in this part, and the first of the next: those i with i * parts // count == part."""
+    return (part * count + parts - 1) // parts, ((part + 1) * count + parts - 1) // parts
 
 
 @numba.njit(cache=True, nogil=True)

@@ -262,7 +262,7 @@ def _local_planes(points: Float, weights: Float, bmu: Int, sheets: _Sheets, whic
         *(w * a * b for a, b in ((x, x), (x, y), (x, z), (y, y), (y, z), (z, z))),
     ]
     moments = np.stack([np.bincount(bmu, column, count) for column in columns], axis=1)
-    around = _sums_of_neighbors(moments.astype(float), sheets)[which]
+    around = _sums_of_neighbors(moments.astype(float), sheets, which)
     total = np.maximum(around[:, :1], np.finfo(float).tiny)
     mean = around[:, 1:4] / total
     scatter = (around[:, 4:] / total)[:, _SYMMETRIC] - mean[:, :, None] * mean[:, None, :]
@@ -273,12 +273,13 @@ def _local_planes(points: Float, weights: Float, bmu: Int, sheets: _Sheets, whic
     return np.where(used[:, None], normals, [0.0, 0.0, 1.0]), np.where(used[:, None], mean, own * [1.0, 1.0, 0.0])
 
 
-def _sums_of_neighbors(values: Float, sheets: _Sheets) -> Float:
-    """Sums of values (V, m) over each neuron and up to eight around it in the rows and columns of its lattice."""
-    number = np.arange(len(values))
-    row, column = np.divmod(number - sheets.first[sheets.submap], sheets.shape[sheets.submap, 1])
-    rows, columns = sheets.shape[sheets.submap].T
-    sums = np.zeros_like(values)
+def _sums_of_neighbors(values: Float, sheets: _Sheets, which: Mask) -> Float:
+    """Sums (n, m) of values (V, m) over neurons `which` (V,) and up to eight around each in its lattice."""
+    number = np.flatnonzero(which)
+    own = sheets.submap[number]
+    rows, columns = sheets.shape[own].T
+    row, column = np.divmod(number - sheets.first[own], columns)
+    sums = np.zeros((len(number), values.shape[1]))
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             there = (row + down >= 0) & (row + down < rows) & (column + right >= 0) & (column + right < columns)
