@@ -82,25 +82,15 @@ def train_submaps(
     order, begin = _by_cluster(label, count)
     groups = _groups(np.diff(begin))
     weights = weights[order]
+    hexagonal = lattice == "hexagonal"
+    flat = _Flat(np.empty((3, len(points))), _frames(plane_normal), np.empty((count, 2)), np.empty((count, 2)))
+    bends, across, bmu = np.empty((count, 6)), np.empty(count), np.empty(len(points), np.int64)
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        flat = _Flat(np.empty((3, len(points))), _frames(plane_normal), np.empty((count, 2)), np.empty((count, 2)))
         list(pool.map(lambda group: _lay_flat(group, points, order, begin, plane_center, *flat), groups))
-        sheets = _sheets(lattice, flat, spacing)
-        bmu, bends, across = np.empty(len(points), np.int64), np.empty((count, 6)), np.empty(count)
+        neurons, sheets = _sheets(lattice, flat, spacing)
 
         def train(group: Int) -> int:
-            _train(
-                group,
-                begin,
-                flat.points,
-                weights,
-                sheets.first,
-                sheets.shape,
-                lattice == "hexagonal",
-                epochs,
-                sheets.neurons,
-                bmu,
-            )
+            _train(group, begin, flat.points, weights, neurons, sheets.first, sheets.shape, hexagonal, epochs, bmu)
             _fit_bends(group, begin, flat.points, weights, spacing, noise, bends, across)
             return len(group)
 
@@ -109,28 +99,27 @@ def train_submaps(
             done += trained
             progress("training", done, count)
     thin = max(_THIN_SPACING * spacing, _THIN_NOISE * noise)
-    neurons, submap = sheets.neurons, sheets.submap
+    submap, bent = sheets.submap, across < thin
+    # The plane of the cluster, where nothing better is known.
     normals, center = np.tile([0.0, 0.0, 1.0], (len(neurons), 1)), neurons * [1.0, 1.0, 0.0]
-    bent = across < thin
-    on_bend = bent[submap]
+    on_bend, rough = bent[submap], (~bent & (thickness >= thin))[submap]
     normals[on_bend] = bend_normals(bends[submap[on_bend]], neurons[on_bend])
     center[on_bend] = onto_bend(bends[submap[on_bend]], neurons[on_bend])
-    rough = (~bent & (thickness >= thin))[submap]
-    normals[rough], center[rough] = _local_planes(flat.points, weights, bmu, sheets, rough)
+    _take_local_planes(normals, center, rough, flat.points, weights, bmu, sheets)
     neurons = neurons - np.einsum("vi,vi->v", neurons - center, normals)[:, None] * normals
-    axes, origin = flat.frames[submap], plane_center[submap]
-    vertices = _turned(neurons, axes) + origin
-    unit_of_point = np.empty(len(points), np.int64)
-    unit_of_point[order] = bmu
+    frames, origin = flat.frames[submap], plane_center[submap]
+    vertices = _turned(neurons, frames) + origin
+    neuron_of_point = np.empty(len(points), np.int64)
+    neuron_of_point[order] = bmu
     return FlatSubmaps(
         vertices=vertices,
-        normals=_turned(normals, axes),
-        center=_turned(center, axes) + origin,
+        normals=_turned(normals, frames),
+        center=_turned(center, frames) + origin,
         submap=submap,
         faces=_triangles(sheets, vertices),
         hits=np.bincount(bmu, minlength=len(neurons)),
         bent=bent,
-        bmu=unit_of_point,
+        bmu=neuron_of_point,
     )
 
 
@@ -150,11 +139,9 @@ class _Flat(NamedTuple):
 class _Sheets(NamedTuple):
     """The lattices of all clusters, one after the other.
 
-    neurons: (V, 3) in the frames of their clusters, m. submap: (V,). first: (K,) the first neuron of each. shape:
-    (K, 2) rows and columns. lattices: K.
+    submap: (V,) of each neuron. first: (K,) the first neuron of each. shape: (K, 2) rows and columns. lattices: K.
     """
 
-    neurons: Float
     submap: Int
     first: Int
     shape: Int
@@ -212,9 +199,9 @@ def _lay_flat(group, points, order, begin, center, local, frames, low, high):  #
         frames[k, 1] = cosine * frame[1] - sine * frame[0]
 
 
-def _sheets(kind: Kind, flat: _Flat, spacing: float) -> _Sheets:
-    """A flat lattice for each rectangle, its neurons in the middle of the cells that divide it."""
-    step = np.array([math.sqrt(0.75) * spacing if kind == "hexagonal" else spacing, spacing])
+def _sheets(kind: Kind, flat: _Flat, spacing: float) -> tuple[Float, _Sheets]:
+    """A flat lattice for each rectangle, its neurons (V, 3) in the middle of the cells that divide it."""
+    step = spacing * np.array([math.sqrt(0.75) if kind == "hexagonal" else 1.0, 1.0])
     shape = np.maximum(2, np.rint((flat.high - flat.low) / step)).astype(np.int64)
     known = {each: make_lattice(kind, *each) for each in set(map(tuple, shape.tolist()))}
     lattices = [known[rows, columns] for rows, columns in shape.tolist()]
@@ -226,11 +213,11 @@ def _sheets(kind: Kind, flat: _Flat, spacing: float) -> _Sheets:
     shift = 0.5 * (row % 2) - 0.25 if kind == "hexagonal" else 0.0
     share = (np.column_stack([row, column + shift]) + 0.5) / shape[submap]
     place = flat.low[submap] + (flat.high - flat.low)[submap] * share
-    return _Sheets(np.column_stack([place, np.zeros(len(place))]), submap, first, shape, lattices)
+    return np.column_stack([place, np.zeros(len(place))]), _Sheets(submap, first, shape, lattices)
 
 
 @numba.njit(cache=True, nogil=True)
-def _train(group, begin, local, weights, first, shape, hexagonal, epochs, neurons, bmu):  # type: ignore[no-untyped-def]
+def _train(group, begin, local, weights, neurons, first, shape, hexagonal, epochs, bmu):  # type: ignore[no-untyped-def]
     """The maps of a group, trained in place, and the best matching unit (N,) of each of their points."""
     for k in group:
         a, b, rows, columns = begin[k], begin[k + 1], shape[k, 0], shape[k, 1]
@@ -249,33 +236,29 @@ def _fit_bends(group, begin, local, weights, spacing, noise, bends, across):  # 
         bends[k], across[k] = fit_bend(local[0, a:b], local[1, a:b], local[2, a:b], weights[a:b], spacing, noise)
 
 
-def _local_planes(points: Float, weights: Float, bmu: Int, sheets: _Sheets, which: Mask) -> tuple[Float, Float]:
-    """Normals and centers (n, 3) of the planes through the data of neurons `which` (V,) and their eight neighbors.
+def _take_local_planes(
+    normals: Float, center: Float, which: Mask, points: Float, weights: Float, bmu: Int, sheets: _Sheets
+) -> None:
+    """Put the planes through the data of neurons `which` (V,) and their eight neighbors into normals, center (V, 3).
 
-    Where these do not give one that lies about as the cluster does, the plane of the cluster, z = 0.
+    Only where a neuron has data and the plane lies about as the cluster does.
     """
-    chosen, count = which[bmu], len(which)
+    chosen = which[bmu]
     (x, y, z), w, bmu = points[:, chosen], weights[chosen], bmu[chosen]
-    columns = [
-        w,
-        *(w * a for a in (x, y, z)),
-        *(w * a * b for a, b in ((x, x), (x, y), (x, z), (y, y), (y, z), (z, z))),
-    ]
-    moments = np.stack([np.bincount(bmu, column, count) for column in columns], axis=1)
-    around = _sums_of_neighbors(moments.astype(float), sheets, which)
-    total = np.maximum(around[:, :1], np.finfo(float).tiny)
-    mean = around[:, 1:4] / total
-    scatter = (around[:, 4:] / total)[:, _SYMMETRIC] - mean[:, :, None] * mean[:, None, :]
-    normals = np.linalg.eigh(scatter.reshape(-1, 3, 3))[1][:, :, 0]
-    normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
-    used = (moments[which, 0] > 0) & (normals[:, 2] > _LEAST_UPRIGHT)
-    own = sheets.neurons[which]
-    return np.where(used[:, None], normals, [0.0, 0.0, 1.0]), np.where(used[:, None], mean, own * [1.0, 1.0, 0.0])
+    products = [w, w * x, w * y, w * z, w * x * x, w * x * y, w * x * z, w * y * y, w * y * z, w * z * z]
+    moments = np.stack([np.bincount(bmu, product, len(which)) for product in products], axis=1).astype(float)
+    number = np.flatnonzero(which & (moments[:, 0] > 0))
+    around = _sums_of_neighbors(moments, sheets, number)
+    mean = around[:, 1:4] / around[:, :1]
+    scatter = (around[:, 4:] / around[:, :1])[:, _SYMMETRIC] - mean[:, :, None] * mean[:, None, :]
+    fitted = np.linalg.eigh(scatter)[1][:, :, 0]
+    fitted *= np.where(fitted[:, 2:] < 0, -1.0, 1.0)
+    upright = fitted[:, 2] > _LEAST_UPRIGHT
+    normals[number[upright]], center[number[upright]] = fitted[upright], mean[upright]
 
 
-def _sums_of_neighbors(values: Float, sheets: _Sheets, which: Mask) -> Float:
-    """Sums (n, m) of values (V, m) over neurons `which` (V,) and up to eight around each in its lattice."""
-    number = np.flatnonzero(which)
+def _sums_of_neighbors(values: Float, sheets: _Sheets, number: Int) -> Float:
+    """Sums (n, m) of values (V, m) over neurons `number` (n,) and up to eight around each in its lattice."""
     own = sheets.submap[number]
     rows, columns = sheets.shape[own].T
     row, column = np.divmod(number - sheets.first[own], columns)
