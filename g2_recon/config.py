@@ -186,8 +186,9 @@ class ReconstructionConfig(_Model):
     )
     lattice: Literal["rectangular", "hexagonal", "triangular"] = _setting(
         "rectangular",
-        "mode paper: neighbors of a neuron; rectangular: four; hexagonal: six, every other row shifted by half a step; "
-        "triangular: four and those along one diagonal, so that meshes are triangles and borders straight",
+        "neighbors of a neuron; rectangular: four, meshes are cut along their shorter diagonal; hexagonal: six, every "
+        "other row shifted by half a step; triangular: four and those along one diagonal, so that meshes are triangles "
+        "and borders straight; mode solid sizes lattices to their clusters at spacing, mode paper by rows and columns",
     )
     rows: int = _setting(10, "mode paper: neurons along one side of each lattice", ge=2, le=200)
     columns: int = _setting(5, "mode paper: neurons along the other side of each lattice", ge=2, le=200)

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -21,55 +19,49 @@ _LEAST_EVIDENCE = 40.0
 # Points this many standard deviations off are not counted, in so many rounds.
 _TRIM = 2.5
 _ROUNDS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Bend:
-    """The surface z = c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2, in the frame of a cluster, metres.
-
-    coefficients: (6,). deviation: m, standard deviation of the points across it.
-    """
-
-    coefficients: Float
-    deviation: float
-
-    def onto(self, points: Float) -> Float:
-        """The points (N, 3) moved along z onto the surface."""
-        x, y = points[:, 0], points[:, 1]
-        return np.column_stack([x, y, _monomials(x, y) @ self.coefficients])
-
-    def normals(self, points: Float) -> Float:
-        """Unit normals (N, 3), z upwards, of the surface above or below the points (N, 3)."""
-        x, y = points[:, 0], points[:, 1]
-        _, b, c, d, e, f = self.coefficients
-        normal = np.column_stack([-(b + 2 * d * x + e * y), -(c + e * x + 2 * f * y), np.ones(len(points))])
-        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
-def fit_bend(points: Float, weights: Float, *, spacing: float, noise: float) -> Bend | None:
-    """The bend that points (N, 3) with weights (N,) lie on, or None where a plane describes them as well.
-
-    The points are in a frame whose z axis is the normal of their plane. spacing: m, of neurons. noise: m, of points.
-    """
-    size = float(np.abs(points[:, :2]).max(initial=0.0))
-    if len(points) < 12 or size == 0.0:
-        return None
-    coefficients, variance, explained, count = _fit(points, weights, 1.0 / size, _TRIM * noise)
-    if not np.isfinite(coefficients).all():
-        return None
-    bent = explained > max(_LEAST_NOISE * noise, _LEAST_SPACING * spacing) ** 2
-    if not (bent and count * explained > _LEAST_EVIDENCE * variance):
-        return None
-    powers = np.array([0, 1, 1, 2, 2, 2])
-    return Bend(coefficients / size**powers, float(np.sqrt(variance)))
-
-
-def _monomials(x: Float, y: Float) -> Float:
-    return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+# A fit of six coefficients to fewer points says nothing.
+_FEWEST = 12
 
 
 @numba.njit(cache=True, nogil=True)
-def _fit(points, weights, scale, slack):  # type: ignore[no-untyped-def]
+def fit_bend(x, y, z, weights, spacing, noise):  # type: ignore[no-untyped-def]
+    """The bend that points x, y, z (N,) with weights (N,) lie on: coefficients (6,) and deviation in metres.
+
+    It is the surface z = c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2 in the frame of a cluster, whose z axis is the
+    normal of its plane; the deviation is the standard deviation of the points across it, infinite where a plane
+    describes them as well. spacing: m, of neurons. noise: m, of points.
+    """
+    size = 0.0
+    for i in range(len(x)):
+        size = max(size, abs(x[i]), abs(y[i]))
+    if len(x) < _FEWEST or size == 0.0:
+        return np.zeros(6), np.inf
+    coefficients, variance, explained, count = _fit(x, y, z, weights, 1.0 / size, _TRIM * noise)
+    bent = explained > max(_LEAST_NOISE * noise, _LEAST_SPACING * spacing) ** 2
+    if not (bent and count * explained > _LEAST_EVIDENCE * variance and np.isfinite(coefficients).all()):
+        return np.zeros(6), np.inf
+    coefficients[1:3] /= size
+    coefficients[3:] /= size * size
+    return coefficients, np.sqrt(variance)
+
+
+def onto_bend(coefficients: Float, points: Float) -> Float:
+    """Points (N, 3) moved along z onto bends, one for all (6,) or one each (N, 6)."""
+    x, y = points[:, 0], points[:, 1]
+    monomials = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    return np.column_stack([x, y, (monomials * coefficients).sum(axis=1)])
+
+
+def bend_normals(coefficients: Float, points: Float) -> Float:
+    """Unit normals (N, 3), z upwards, of bends, one for all (6,) or one each (N, 6), above or below points (N, 3)."""
+    x, y = points[:, 0], points[:, 1]
+    _, b, c, d, e, f = coefficients.T
+    normal = np.column_stack([-(b + 2 * d * x + e * y), -(c + e * x + 2 * f * y), np.ones(len(points))])
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+@numba.njit(cache=True, nogil=True)
+def _fit(x, y, z, weights, scale, slack):  # type: ignore[no-untyped-def]
     """The weighted least-squares fit, repeated without the points farther off than `slack` and 2.5 deviations.
 
     Coefficients (6,) in scaled coordinates, variance across the bend, variance that it explains beyond a plane, and the
@@ -83,10 +75,9 @@ def _fit(points, weights, scale, slack):  # type: ignore[no-untyped-def]
     for _ in range(_ROUNDS):
         matrix, right, square, total = np.zeros((6, 6)), np.zeros(6), 0.0, 0.0
         count = 0
-        for i in range(len(points)):
-            x, y, z = points[i, 0] * scale, points[i, 1] * scale, points[i, 2]
-            row[0], row[1], row[2], row[3], row[4], row[5] = 1.0, x, y, x * x, x * y, y * y
-            off = z
+        for i in range(len(x)):
+            u, v, off = x[i] * scale, y[i] * scale, z[i]
+            row[0], row[1], row[2], row[3], row[4], row[5] = 1.0, u, v, u * u, u * v, v * v
             for a in range(6):
                 off -= row[a] * coefficients[a]
             if abs(off) > limit:
@@ -94,12 +85,12 @@ def _fit(points, weights, scale, slack):  # type: ignore[no-untyped-def]
             count += 1
             w = weights[i]
             total += w
-            square += w * z * z
+            square += w * z[i] * z[i]
             for a in range(6):
-                right[a] += w * row[a] * z
+                right[a] += w * row[a] * z[i]
                 for b in range(a + 1):
                     matrix[a, b] += w * row[a] * row[b]
-        if count < 12:
+        if count < _FEWEST:
             return np.full(6, np.nan), 0.0, 0.0, 0
         for a in range(6):
             for b in range(a):

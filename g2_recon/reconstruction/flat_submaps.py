@@ -4,31 +4,38 @@
 
 from __future__ import annotations
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from g2_recon.progress import Progress, silent
-from g2_recon.reconstruction.bends import fit_bend
-from g2_recon.reconstruction.som import best_matching_units
+from g2_recon.reconstruction.batch_training import train_sheet
+from g2_recon.reconstruction.bends import bend_normals, fit_bend, onto_bend
+from g2_recon.reconstruction.bounding_rectangle import bounding_rectangle
+from g2_recon.reconstruction.lattice import Kind, Lattice, make_lattice
+from g2_recon.reconstruction.triangulation import split_cells
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
-# A final neighborhood of one lattice step would shrink each map by about a cell.
-_WIDTH_END = 0.35
 # Of the extent of a cluster along each side of its rectangle, the share that stray points may have beyond it.
 _STRAY = 0.01
 # What is thinner than this many sigmas of noise, or than this share of the spacing, is explained by its plane or bend.
 _THIN_NOISE = 1.35
 _THIN_SPACING = 0.01
-# The elements of a symmetric matrix.
-_PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+# Clusters go to the workers in so many groups, the largest first.
+_GROUPS = 64
+# The plane of a neuron tilts by less than 45 deg against that of its cluster.
+_LEAST_UPRIGHT = 0.7
+# A symmetric matrix from its upper half.
+_SYMMETRIC = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,188 +69,215 @@ def train_submaps(
     spacing: float,
     noise: float,
     epochs: int,
+    lattice: Kind = "rectangular",
     workers: int = 0,
     progress: Progress = silent,
 ) -> FlatSubmaps:
     """One map a cluster (paper, section 3.2), with cells of about `spacing` metres.
 
-    points: (N, 3), weights: (N,) area that each stands for, label: (N,) cluster, all >= 0. plane_center, plane_normal:
-    (K, 3) and thickness: (K,) of the clusters.
+    points: (N, 3), weights: (N,) area that each stands for, label: (N,) cluster, all >= 0, each with a point or more.
+    plane_center, plane_normal: (K, 3) and thickness: (K,) of the clusters. The result does not depend on `workers`.
     """
-    order = np.argsort(label, kind="stable")
-    members = np.split(order, np.cumsum(np.bincount(label, minlength=len(plane_center)))[:-1])
-    thin = max(_THIN_SPACING * spacing, _THIN_NOISE * noise)
-
-    def train(number: int) -> tuple[Float, Float, Float, Int, Int, Int, bool]:
-        own = members[number]
-        axes = frame_of(plane_normal[number])
-        inside = (points[own] - plane_center[number]) @ axes.T
-        turn, low, high = bounding_rectangle(inside[:, :2])
-        local = np.column_stack([inside[:, :2] @ turn.T, inside[:, 2]])
-        rows, columns = (max(2, round(float(side) / spacing)) for side in high - low)
-        neurons = _sheet(low, high, rows, columns)
-        bmu, hits = _train_batch(local, weights[own], neurons, rows, columns, epochs, _WIDTH_END)
-        bend = fit_bend(local, weights[own], spacing=spacing, noise=noise)
-        bent = bend is not None and bend.deviation < thin
-        if bend is not None and bent:
-            normal, offset = bend.normals(neurons), bend.onto(neurons)
-        elif thickness[number] < thin:
-            normal, offset = np.tile([0.0, 0.0, 1.0], (len(neurons), 1)), neurons * [1.0, 1.0, 0.0]
-        else:
-            normal, offset = _local_planes(local, weights[own], bmu, neurons, rows, columns)
-        neurons = neurons - np.einsum("ij,ij->i", neurons - offset, normal)[:, None] * normal
-        back = np.vstack([turn @ axes[:2], axes[2]])
-        return (
-            neurons @ back + plane_center[number],
-            normal @ back,
-            offset @ back + plane_center[number],
-            _triangles(neurons, rows, columns),
-            hits,
-            bmu,
-            bent,
-        )
-
+    count = len(plane_center)
+    order, begin = _by_cluster(label, count)
+    groups = _groups(np.diff(begin))
+    weights = weights[order]
+    hexagonal = lattice == "hexagonal"
+    flat = _Flat(np.empty((3, len(points))), _frames(plane_normal), np.empty((count, 2)), np.empty((count, 2)))
+    bends, across, bmu = np.empty((count, 6)), np.empty(count), np.empty(len(points), np.int64)
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        parts = []
-        for done, part in enumerate(pool.map(train, range(len(members))), start=1):
-            parts.append(part)
-            progress("training", done, len(members))
-    sizes = np.array([len(part[0]) for part in parts])
-    first = np.r_[0, np.cumsum(sizes)[:-1]]
-    bmu = np.empty(len(points), np.int64)
-    for number, part in enumerate(parts):
-        bmu[members[number]] = part[5] + first[number]
+        list(pool.map(lambda group: _lay_flat(group, points, order, begin, plane_center, *flat), groups))
+        neurons, sheets = _sheets(lattice, flat, spacing)
+
+        def train(group: Int) -> int:
+            _train(group, begin, flat.points, weights, neurons, sheets.first, sheets.shape, hexagonal, epochs, bmu)
+            _fit_bends(group, begin, flat.points, weights, spacing, noise, bends, across)
+            return len(group)
+
+        done = 0
+        for trained in pool.map(train, groups):
+            done += trained
+            progress("training", done, count)
+    thin = max(_THIN_SPACING * spacing, _THIN_NOISE * noise)
+    submap, bent = sheets.submap, across < thin
+    # The plane of the cluster, where nothing better is known.
+    normals, center = np.tile([0.0, 0.0, 1.0], (len(neurons), 1)), neurons * [1.0, 1.0, 0.0]
+    on_bend, rough = bent[submap], (~bent & (thickness >= thin))[submap]
+    normals[on_bend] = bend_normals(bends[submap[on_bend]], neurons[on_bend])
+    center[on_bend] = onto_bend(bends[submap[on_bend]], neurons[on_bend])
+    _take_local_planes(normals, center, rough, flat.points, weights, bmu, sheets)
+    neurons = neurons - np.einsum("vi,vi->v", neurons - center, normals)[:, None] * normals
+    frames, origin = flat.frames[submap], plane_center[submap]
+    vertices = _turned(neurons, frames) + origin
+    neuron_of_point = np.empty(len(points), np.int64)
+    neuron_of_point[order] = bmu
     return FlatSubmaps(
-        vertices=np.concatenate([part[0] for part in parts]),
-        normals=np.concatenate([part[1] for part in parts]),
-        center=np.concatenate([part[2] for part in parts]),
-        submap=np.repeat(np.arange(len(parts)), sizes),
-        faces=np.concatenate([part[3] + start for part, start in zip(parts, first, strict=True)]),
-        hits=np.concatenate([part[4] for part in parts]),
-        bent=np.array([part[6] for part in parts]),
-        bmu=bmu,
+        vertices=vertices,
+        normals=_turned(normals, frames),
+        center=_turned(center, frames) + origin,
+        submap=submap,
+        faces=_triangles(sheets, vertices),
+        hits=np.bincount(bmu, minlength=len(neurons)),
+        bent=bent,
+        bmu=neuron_of_point,
     )
 
 
-def frame_of(normal: Float) -> Float:
-    """A right-handed frame (3, 3), rows x, y, z, whose z axis is the unit normal (3,)."""
-    helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    x = np.cross(helper, normal)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(normal, x), normal])
+class _Flat(NamedTuple):
+    """Clusters in frames of their own.
 
-
-def bounding_rectangle(points: Float) -> tuple[Float, Float, Float]:
-    """The smallest rectangle around points (N, 2): turn (2, 2) into its axes, and its low and high corner there.
-
-    One side of the smallest rectangle lies on the convex hull (Freeman and Shapira, 1975).
+    points: (3, N) m, cluster by cluster. frames: (K, 3, 3), rows x, y, z, whose z axis is the normal of the plane and
+    whose x and y axes are those of the smallest rectangle. low, high: (K, 2) corners of that, m.
     """
-    try:
-        hull = points[ConvexHull(points).vertices]
-    except QhullError:  # all on a line, or fewer than three
-        hull = points
-    side = np.roll(hull, -1, axis=0) - hull
-    angle = np.unique(np.mod(np.arctan2(side[:, 1], side[:, 0]), np.pi / 2).round(9))
-    cos, sin = np.cos(angle), np.sin(angle)
-    along = hull[:, :1] * cos + hull[:, 1:] * sin
-    across = hull[:, 1:] * cos - hull[:, :1] * sin
-    best = int(np.argmin(np.ptp(along, axis=0) * np.ptp(across, axis=0)))
-    turn = np.array([[cos[best], sin[best]], [-sin[best], cos[best]]])
-    low, high = np.quantile(points @ turn.T, [_STRAY, 1 - _STRAY], axis=0)
-    return turn, low, high
+
+    points: Float
+    frames: Float
+    low: Float
+    high: Float
 
 
-def _sheet(low: Float, high: Float, rows: int, columns: int) -> Float:
-    """A flat lattice (rows * columns, 3) in the middle of the cells that divide a rectangle."""
-    x = low[0] + (high[0] - low[0]) * (np.arange(rows) + 0.5) / rows
-    y = low[1] + (high[1] - low[1]) * (np.arange(columns) + 0.5) / columns
-    return np.column_stack([np.repeat(x, columns), np.tile(y, rows), np.zeros(rows * columns)])
+class _Sheets(NamedTuple):
+    """The lattices of all clusters, one after the other.
 
-
-def _triangles(neurons: Float, rows: int, columns: int) -> Int:
-    """Two triangles (F, 3) a cell, cut along the shorter diagonal, counterclockwise seen from +z."""
-    number = np.arange(rows * columns).reshape(rows, columns)
-    a, b = number[:-1, :-1].ravel(), number[1:, :-1].ravel()
-    c, d = number[1:, 1:].ravel(), number[:-1, 1:].ravel()
-    along_ac = np.linalg.norm(neurons[a] - neurons[c], axis=1) <= np.linalg.norm(neurons[b] - neurons[d], axis=1)
-    first = np.where(along_ac, np.stack([a, b, c]), np.stack([a, b, d]))
-    second = np.where(along_ac, np.stack([a, c, d]), np.stack([b, c, d]))
-    return np.concatenate([first.T, second.T]).astype(np.int64)
-
-
-@numba.njit(cache=True, nogil=True, fastmath=True)
-def _train_batch(points, weights, neurons, rows, columns, epochs, width_end):  # type: ignore[no-untyped-def]
-    """Batch rule; the neighborhood of a rectangular lattice is separable, rows first, then columns.
-
-    neurons (n, 3) are changed in place. Returns the best matching unit of each point and the points of each neuron.
+    submap: (V,) of each neuron. first: (K,) the first neuron of each. shape: (K, 2) rows and columns. lattices: K.
     """
-    count = rows * columns
-    sums, by_rows = np.empty((count, 4)), np.empty((count, 4))
-    kernel = np.empty(max(rows, columns))
-    width_start = max(max(rows, columns) / 2.0, width_end)
-    for epoch in range(epochs):
-        width = width_start * (width_end / width_start) ** (epoch / max(epochs - 1, 1))
-        for d in range(len(kernel)):
-            kernel[d] = np.exp(-0.5 * (d / width) ** 2)
-        bmu = best_matching_units(points, neurons)
-        sums[:] = 0.0
-        for i in range(len(points)):
-            m, w = bmu[i], weights[i]
-            sums[m, 0] += w * points[i, 0]
-            sums[m, 1] += w * points[i, 1]
-            sums[m, 2] += w * points[i, 2]
-            sums[m, 3] += w
-        by_rows[:] = 0.0
-        for r in range(rows):
-            for s in range(rows):
-                h = kernel[abs(r - s)]
-                if h > 1e-7:
-                    for c in range(columns):
-                        for k in range(4):
-                            by_rows[r * columns + c, k] += h * sums[s * columns + c, k]
-        for r in range(rows):
-            for c in range(columns):
-                x = y = z = total = 0.0
-                for s in range(columns):
-                    h = kernel[abs(c - s)]
-                    if h > 1e-7:
-                        j = r * columns + s
-                        x += h * by_rows[j, 0]
-                        y += h * by_rows[j, 1]
-                        z += h * by_rows[j, 2]
-                        total += h * by_rows[j, 3]
-                if total > 1e-9:
-                    j = r * columns + c
-                    neurons[j, 0], neurons[j, 1], neurons[j, 2] = x / total, y / total, z / total
-    bmu = best_matching_units(points, neurons)
-    hits = np.zeros(count, np.int64)
-    for i in range(len(points)):
-        hits[bmu[i]] += 1
-    return bmu, hits
+
+    submap: Int
+    first: Int
+    shape: Int
+    lattices: list[Lattice]
 
 
-def _local_planes(
-    points: Float, weights: Float, bmu: Int, neurons: Float, rows: int, columns: int
-) -> tuple[Float, Float]:
-    """Normal (n, 3) and a point (n, 3) of the plane through the data of each neuron and its eight neighbors.
+def _groups(sizes: Int) -> list[Int]:
+    """Clusters (K,) in groups of about the same number of points, the largest clusters first in each."""
+    largest_first = np.argsort(-sizes, kind="stable")
+    number = min(len(sizes), _GROUPS)
+    return [largest_first[start::number] for start in range(number)]
 
-    Where these do not give one that lies about as the cluster does, the plane of the cluster, z = 0.
+
+@numba.njit(cache=True, nogil=True)
+def _by_cluster(label, count):  # type: ignore[no-untyped-def]
+    """The points (N,) cluster by cluster, and where each cluster begins (K + 1,)."""
+    begin = np.zeros(count + 1, np.int64)
+    for own in label:
+        begin[own + 1] += 1
+    begin = np.cumsum(begin)
+    place, order = begin[:-1].copy(), np.empty(len(label), np.int64)
+    for i in range(len(label)):
+        order[place[label[i]]] = i
+        place[label[i]] += 1
+    return order, begin
+
+
+def _frames(normals: Float) -> Float:
+    """Right-handed frames (K, 3, 3), rows x, y, z, whose z axes are the unit normals (K, 3)."""
+    x = np.cross(np.eye(3)[np.argmin(np.abs(normals), axis=1)], normals)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, np.cross(normals, x), normals], axis=1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _lay_flat(group, points, order, begin, center, local, frames, low, high):  # type: ignore[no-untyped-def]
+    """Points of the clusters of a group into their frames, and these turned to the smallest rectangle; see _Flat."""
+    for k in group:
+        frame = frames[k].copy()
+        x, y, z = (
+            local[0, begin[k] : begin[k + 1]],
+            local[1, begin[k] : begin[k + 1]],
+            local[2, begin[k] : begin[k + 1]],
+        )
+        for i in range(len(x)):
+            p = order[begin[k] + i]
+            a, b, c = points[p, 0] - center[k, 0], points[p, 1] - center[k, 1], points[p, 2] - center[k, 2]
+            x[i] = a * frame[0, 0] + b * frame[0, 1] + c * frame[0, 2]
+            y[i] = a * frame[1, 0] + b * frame[1, 1] + c * frame[1, 2]
+            z[i] = a * frame[2, 0] + b * frame[2, 1] + c * frame[2, 2]
+        cosine, sine, low[k], high[k] = bounding_rectangle(x, y, _STRAY)
+        for i in range(len(x)):
+            x[i], y[i] = cosine * x[i] + sine * y[i], cosine * y[i] - sine * x[i]
+        frames[k, 0] = cosine * frame[0] + sine * frame[1]
+        frames[k, 1] = cosine * frame[1] - sine * frame[0]
+
+
+def _sheets(kind: Kind, flat: _Flat, spacing: float) -> tuple[Float, _Sheets]:
+    """A flat lattice for each rectangle, its neurons (V, 3) in the middle of the cells that divide it."""
+    step = spacing * np.array([math.sqrt(0.75) if kind == "hexagonal" else 1.0, 1.0])
+    shape = np.maximum(2, np.rint((flat.high - flat.low) / step)).astype(np.int64)
+    known = {each: make_lattice(kind, *each) for each in set(map(tuple, shape.tolist()))}
+    lattices = [known[rows, columns] for rows, columns in shape.tolist()]
+    sizes = shape.prod(axis=1)
+    submap = np.repeat(np.arange(len(shape)), sizes)
+    first = np.cumsum(sizes) - sizes
+    row, column = np.divmod(np.arange(len(submap)) - first[submap], shape[submap, 1])
+    # Rows of a hexagonal lattice are shifted by half a step against each other, and so by a quarter from the middle.
+    shift = 0.5 * (row % 2) - 0.25 if kind == "hexagonal" else 0.0
+    share = (np.column_stack([row, column + shift]) + 0.5) / shape[submap]
+    place = flat.low[submap] + (flat.high - flat.low)[submap] * share
+    return np.column_stack([place, np.zeros(len(place))]), _Sheets(submap, first, shape, lattices)
+
+
+@numba.njit(cache=True, nogil=True)
+def _train(group, begin, local, weights, neurons, first, shape, hexagonal, epochs, bmu):  # type: ignore[no-untyped-def]
+    """The maps of a group, trained in place, and the best matching unit (N,) of each of their points."""
+    for k in group:
+        a, b, rows, columns = begin[k], begin[k + 1], shape[k, 0], shape[k, 1]
+        own = neurons[first[k] : first[k] + rows * columns]
+        train_sheet(
+            local[0, a:b], local[1, a:b], local[2, a:b], weights[a:b], own, rows, columns, hexagonal, epochs, bmu[a:b]
+        )
+        bmu[a:b] += first[k]
+
+
+@numba.njit(cache=True, nogil=True)
+def _fit_bends(group, begin, local, weights, spacing, noise, bends, across):  # type: ignore[no-untyped-def]
+    """The bend (K, 6) of each cluster of a group and the deviation (K,) m of its points, see fit_bend."""
+    for k in group:
+        a, b = begin[k], begin[k + 1]
+        bends[k], across[k] = fit_bend(local[0, a:b], local[1, a:b], local[2, a:b], weights[a:b], spacing, noise)
+
+
+def _take_local_planes(
+    normals: Float, center: Float, which: Mask, points: Float, weights: Float, bmu: Int, sheets: _Sheets
+) -> None:
+    """Put the planes through the data of neurons `which` (V,) and their eight neighbors into normals, center (V, 3).
+
+    Only where a neuron has data and the plane lies about as the cluster does.
     """
-    count = rows * columns
-    normal, offset = np.tile([0.0, 0.0, 1.0], (count, 1)), np.zeros((count, 3))
-    columns_of_moments = [weights, *(weights * points[:, a] for a in range(3))]
-    columns_of_moments += [weights * points[:, a] * points[:, b] for a, b in _PAIRS]
-    moments = np.stack([np.bincount(bmu, column, count) for column in columns_of_moments], axis=1)
-    padded = np.pad(moments.reshape(rows, columns, -1), ((1, 1), (1, 1), (0, 0)))
-    shifted = [padded[a : a + rows, b : b + columns] for a in range(3) for b in range(3)]
-    around = np.sum(shifted, axis=0).reshape(count, -1)
-    total = np.maximum(around[:, 0], 1e-12)
-    mean = around[:, 1:4] / total[:, None]
-    scatter = np.empty((count, 3, 3))
-    for column, (a, b) in enumerate(_PAIRS, start=4):
-        scatter[:, a, b] = scatter[:, b, a] = around[:, column] / total - mean[:, a] * mean[:, b]
+    chosen = which[bmu]
+    (x, y, z), w, bmu = points[:, chosen], weights[chosen], bmu[chosen]
+    products = [w, w * x, w * y, w * z, w * x * x, w * x * y, w * x * z, w * y * y, w * y * z, w * z * z]
+    moments = np.stack([np.bincount(bmu, product, len(which)) for product in products], axis=1).astype(float)
+    number = np.flatnonzero(which & (moments[:, 0] > 0))
+    around = _sums_of_neighbors(moments, sheets, number)
+    mean = around[:, 1:4] / around[:, :1]
+    scatter = (around[:, 4:] / around[:, :1])[:, _SYMMETRIC] - mean[:, :, None] * mean[:, None, :]
     fitted = np.linalg.eigh(scatter)[1][:, :, 0]
-    fitted *= np.where(fitted[:, 2] < 0, -1.0, 1.0)[:, None]
-    used = (np.bincount(bmu, minlength=count) > 0) & (fitted[:, 2] > 0.7) & (around[:, 0] > 0)
-    normal[used], offset[used] = fitted[used], mean[used]
-    return normal, offset
+    fitted *= np.where(fitted[:, 2:] < 0, -1.0, 1.0)
+    upright = fitted[:, 2] > _LEAST_UPRIGHT
+    normals[number[upright]], center[number[upright]] = fitted[upright], mean[upright]
+
+
+def _sums_of_neighbors(values: Float, sheets: _Sheets, number: Int) -> Float:
+    """Sums (n, m) of values (V, m) over neurons `number` (n,) and up to eight around each in its lattice."""
+    own = sheets.submap[number]
+    rows, columns = sheets.shape[own].T
+    row, column = np.divmod(number - sheets.first[own], columns)
+    sums = np.zeros((len(number), values.shape[1]))
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            there = (row + down >= 0) & (row + down < rows) & (column + right >= 0) & (column + right < columns)
+            sums[there] += values[(number + down * columns + right)[there]]
+    return sums
+
+
+def _triangles(sheets: _Sheets, vertices: Float) -> Int:
+    """Triangles (F, 3) of all lattices, counterclockwise seen from the free side; whole cells are cut."""
+    pairs = list(zip(sheets.lattices, sheets.first, strict=True))
+    cells = np.concatenate([lattice.cells + first for lattice, first in pairs])
+    triangles = np.concatenate([lattice.triangles + first for lattice, first in pairs])
+    return np.concatenate([split_cells(vertices, cells), triangles])
+
+
+def _turned(vectors: Float, frames: Float) -> Float:
+    """Vectors (V, 3) out of frames (V, 3, 3)."""
+    return np.einsum("va,vai->vi", vectors, frames)

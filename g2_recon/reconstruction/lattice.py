@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -16,15 +17,14 @@ from scipy.sparse.csgraph import shortest_path
 Kind = Literal["rectangular", "hexagonal", "triangular"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Lattice:
     """A lattice of n = rows * columns neurons, numbered row by row.
 
     coordinates: (n, 2) place of each neuron on the lattice, in steps. edges: (E, 2) closest neighbors.
     cells: (C, 4) the corners of each rectangular mesh, to be cut into two triangles once the map is trained.
     triangles: (T, 3) the corners of each triangular mesh. A lattice has either cells or triangles; both run
-    counterclockwise in the lattice plane. border: (n,) mask of the neurons on the rim. steps: (n, n) shortest path
-    between neurons in steps (paper, section 3.2).
+    counterclockwise in the lattice plane. border: (n,) mask of the neurons on the rim.
     """
 
     rows: int
@@ -34,10 +34,16 @@ class Lattice:
     cells: NDArray[np.int64]
     triangles: NDArray[np.int64]
     border: NDArray[np.bool_]
-    steps: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.coordinates)
+
+    @cached_property
+    def steps(self) -> NDArray[np.int64]:
+        """Shortest path (n, n) between neurons in steps (paper, section 3.2)."""
+        ends, count = self.edges.T, len(self)
+        graph = coo_array((np.ones(len(self.edges)), (ends[0], ends[1])), shape=(count, count)).tocsr()
+        return shortest_path(graph, directed=False, unweighted=True).astype(np.int64)
 
     @property
     def longest_path(self) -> int:
@@ -103,19 +109,12 @@ def _lattice(
         other = np.where(first_to_third, cells[:, [0, 2, 3]], cells[:, [1, 2, 3]])
         triangles, cells = np.stack([one, other], axis=1).reshape(-1, 3), cells[:0]
     row, column = _places(rows, columns)
-    joined = np.concatenate(edges)
     return Lattice(
         rows=rows,
         columns=columns,
         coordinates=coordinates,
-        edges=joined,
+        edges=np.concatenate(edges),
         cells=cells,
         triangles=triangles,
         border=(row == 0) | (row == rows - 1) | (column == 0) | (column == columns - 1),
-        steps=_shortest_paths(joined, rows * columns),
     )
-
-
-def _shortest_paths(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
-    return shortest_path(graph, directed=False, unweighted=True).astype(np.int64)

@@ -130,6 +130,7 @@ def build_submaps(
         spacing=config.spacing,
         noise=surface.noise,
         epochs=config.epochs,
+        lattice=config.lattice,
         workers=workers,
         progress=progress,
     )

@@ -1,0 +1,97 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""The smallest rectangle around points of a plane."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True)
+def bounding_rectangle(x, y, stray):  # type: ignore[no-untyped-def]
+    """The smallest rectangle around points, x and y (N,), N >= 1; a share `stray` at each side may lie beyond it.
+
+    Returns cosine and sine of the angle from x to its first axis, and its low (2,) and high (2,) corner along its axes.
+    One side of the smallest rectangle around all points is a side of their convex hull (Freeman and Shapira, 1975).
+    """
+    first, lower, upper = _ends_of_columns(x, y)
+    low_side, high_side = _lower_chain(first, lower), _lower_chain(first, -upper)
+    hull_x = np.concatenate((first[low_side], first[high_side]))
+    hull_y = np.concatenate((lower[low_side], upper[high_side]))
+    # Sides that join the two chains are upright: an angle of 0.
+    cosine, sine = 1.0, 0.0
+    smallest = _area(hull_x, hull_y, cosine, sine)
+    for i in range(len(hull_x) - 1):
+        along, across = hull_x[i + 1] - hull_x[i], hull_y[i + 1] - hull_y[i]
+        length = np.sqrt(along * along + across * across)
+        if i == len(low_side) - 1 or length == 0.0:
+            continue
+        # Of the two axes, the one in the first quadrant is the first.
+        if across < 0.0:
+            along, across = -across, along
+        area = _area(hull_x, hull_y, along / length, across / length)
+        if area < smallest:
+            smallest, cosine, sine = area, along / length, across / length
+    low, high = np.empty(2), np.empty(2)
+    low[0], high[0] = _quantiles(cosine * x + sine * y, stray)
+    low[1], high[1] = _quantiles(cosine * y - sine * x, stray)
+    return cosine, sine, low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _ends_of_columns(x, y):  # type: ignore[no-untyped-def]
+    """The distinct x, ascending, and the lowest and the highest y at each; no other point is a corner of the hull."""
+    columns, lower, upper = np.empty(len(x)), np.empty(len(x)), np.empty(len(x))
+    count = 0
+    for i in np.argsort(x):
+        if count == 0 or x[i] > columns[count - 1]:
+            columns[count], lower[count], upper[count] = x[i], y[i], y[i]
+            count += 1
+        else:
+            lower[count - 1] = min(lower[count - 1], y[i])
+            upper[count - 1] = max(upper[count - 1], y[i])
+    return columns[:count], lower[:count], upper[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _lower_chain(x, y):  # type: ignore[no-untyped-def]
+    """Numbers of the points on the lower side of the convex hull; x ascends (Andrew's monotone chain, 1979)."""
+    chain = np.empty(len(x), np.int64)
+    count = 0
+    for i in range(len(x)):
+        while count >= 2:
+            a, b = chain[count - 2], chain[count - 1]
+            if (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a]) > 0.0:
+                break
+            count -= 1
+        chain[count] = i
+        count += 1
+    return chain[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _area(x, y, cosine, sine):  # type: ignore[no-untyped-def]
+    """Area of the rectangle around points whose first side has this direction."""
+    low_u = low_v = np.inf
+    high_u = high_v = -np.inf
+    for i in range(len(x)):
+        u, v = cosine * x[i] + sine * y[i], cosine * y[i] - sine * x[i]
+        low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
+    return (high_u - low_u) * (high_v - low_v)
+
+
+@numba.njit(cache=True, nogil=True)
+def _quantiles(values, share):  # type: ignore[no-untyped-def]
+    """The quantiles `share` and 1 - `share`, between two values in proportion."""
+    return _lower_quantile(values, share), -_lower_quantile(-values, share)
+
+
+@numba.njit(cache=True, nogil=True)
+def _lower_quantile(values, share):  # type: ignore[no-untyped-def]
+    place = share * (len(values) - 1)
+    rank = int(place)
+    parted = np.partition(values, rank)
+    if rank == len(values) - 1:
+        return parted[rank]
+    return parted[rank] + (place - rank) * (parted[rank + 1 :].min() - parted[rank])
