@@ -249,20 +249,19 @@ def fill_small_loops(
     *,
     support_distance: float,
     max_edges: int = 8,
-    support_share: float = 0.6,
 ) -> Int:
-    """Triangles (T, 3) that close the holes with at most `max_edges` edges, where data supports most of them.
+    """Triangles (T, 3) that close the holes with at most `max_edges` edges, where data supports them.
 
     Each hole gets the triangulation of least area (Barequet and Sharir, "Filling gaps in the boundary of a polyhedron",
-    1995, section 3.2). A hole stays open where data lies within `support_distance` (m) of fewer than `support_share` of
-    its triangles, where the mesh would not stay manifold and oriented, or where a new face would cross another one or
-    be its back.
+    1995, section 3.2). A hole stays open where data lies farther than `support_distance` (m) from one of its triangles,
+    where the mesh would not stay manifold and oriented, where more than one triangle would not go on with the surface
+    around, or where a new face would cross another one or be its back.
     """
     loops, size = _small_loops(vertices, faces, max_edges)
     triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size)
     support = np.bincount(loop, supported(vertices, triangles, grid, support_distance), len(loops))
-    accepted = support > support_share * np.maximum(size - 2, 1)
-    accepted &= _goes_on(vertices, triangles, loop, len(loops), _vertex_normals(vertices, faces))
+    accepted = support == size - 2
+    accepted &= (size == 3) | _goes_on(vertices, triangles, loop, len(loops), _vertex_normals(vertices, faces))
     accepted &= ~_backs(faces, loops, size, len(vertices))
     accepted &= _keeps_manifold(faces, triangles, loop, size, accepted, len(vertices))
     while True:
