@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.edges import edges_of
 from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.geometry.point_grid import PointGrid, point_grid
 from g2_recon.progress import Progress, silent
@@ -196,8 +197,7 @@ def wire_of(mesh: Mesh) -> WireMesh:
     """The vertices and edges of a mesh as a wire mesh; a vertex belongs to the lowest submap among its faces."""
     submap = np.full(len(mesh.vertices), len(mesh.submap) + 1)
     np.minimum.at(submap, mesh.faces.ravel(), np.repeat(mesh.submap, 3))
-    ends = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges = np.unique(ends, axis=0)
+    edges, _ = edges_of(mesh.faces, len(mesh.vertices))
     return WireMesh(mesh.vertices, edges, submap, submap[edges[:, 0]] != submap[edges[:, 1]])
 
 
