@@ -47,3 +47,12 @@ def test_points_that_are_not_finite_are_refused():
 def test_a_cell_needs_a_size():
     with pytest.raises(InputError, match="cell edge"):
         point_grid(np.zeros((1, 3)), cell=0.0)
+
+
+def test_points_of_a_cell_keep_their_order_and_cells_come_as_their_first_points():
+    points = np.random.default_rng(0).uniform(0, 2, (2000, 3))
+    grid = point_grid(points, cell=0.25)
+    cells = np.floor((points - points.min(axis=0)) / 0.25).astype(np.int64)
+    _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    assert (grid.cells == cells[np.sort(first)]).all()
+    assert (grid.order == np.lexsort((np.arange(2000), first[number.reshape(-1)]))).all()
