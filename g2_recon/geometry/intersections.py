@@ -10,67 +10,145 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry.point_grid import cell_of, point_grid, points_in_cell
+from g2_recon.geometry.point_grid import PointGrid, cell_of, point_grid, points_in_cell
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
 # What two triangles may reach into each other, as a share of their size, and still only touch: rounding.
 _TOUCH = 1e-7
+# The search is over cells this many times as large as the usual face, for speed; the largest face goes through at most
+# so many of them an axis.
+_CELL = 2.0
+_MOST_CELLS = 16
 
 
 def crossing_pairs(vertices: Float, faces: Int, *, among: NDArray[np.bool_] | None = None) -> Int:
     """Pairs (P, 2) of faces that cross or overlap, smaller number first, sorted.
 
     Faces that share an edge are not looked at; those that share a vertex may touch there.
-    vertices: (V, 3) m, faces: (F, 3) of about one size (the search is over the size of the largest).
+    vertices: (V, 3) m, faces: (F, 3), most of about one size, which the time depends on.
     among: (F,) only pairs with at least one of these faces.
     """
     if len(faces) < 2:
         return np.empty((0, 2), np.int64)
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
-    corners = vertices[faces]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    largest = float((high - low).max())
+    boxes, cell = _boxes(vertices, faces)
+    number: Int = np.arange(len(faces))
     if among is None:
         among = np.ones(len(faces), bool)
-    grid = point_grid(low, cell=max(largest, 1e-9))
-    pairs = _crossing_pairs(vertices, faces, low, high, grid, largest, among)
+    else:
+        number = np.flatnonzero(_meets(boxes, cell, _grid_of_cells(boxes[among], cell)[0]))
+    grid, face = _grid_of_cells(boxes[number], cell)
+    pairs = _crossing_pairs(vertices, faces, boxes, cell, among, grid, number[face])
     return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
 
 
 @numba.njit(cache=True, nogil=True)
-def _crossing_pairs(vertices, faces, low, high, grid, largest, among):  # type: ignore[no-untyped-def]
-    """Candidates are the faces whose lower corner of the bounding box, which the grid holds, is near enough."""
+def _boxes(vertices, faces):  # type: ignore[no-untyped-def]
+    """Low and high corner (F, 6) of the box around each face in metres, and the edge of a cell for the search."""
+    boxes = np.empty((len(faces), 6))
+    total = largest = 0.0
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        side = 0.0
+        for axis in range(3):
+            boxes[face, axis] = min(vertices[a, axis], vertices[b, axis], vertices[c, axis])
+            boxes[face, axis + 3] = max(vertices[a, axis], vertices[b, axis], vertices[c, axis])
+            side = max(side, boxes[face, axis + 3] - boxes[face, axis])
+        total += side
+        largest = max(largest, side)
+    return boxes, max(_CELL * total / len(faces), largest / _MOST_CELLS, 1e-9)
+
+
+def _grid_of_cells(boxes: Float, cell: float) -> tuple[PointGrid, Int]:
+    """A grid with each box (F, 6) in each of the cells that it touches, and the box of each entry, sorted by cell."""
+    cells, box = _touched_cells(boxes, cell)
+    grid = point_grid(cells, cell=1.0)
+    return grid, box[grid.order]
+
+
+@numba.njit(cache=True, nogil=True)
+def _cell_range(boxes, box, axis, cell):  # type: ignore[no-untyped-def]
+    return range(math.floor(boxes[box, axis] / cell), math.floor(boxes[box, axis + 3] / cell) + 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _touched_cells(boxes, cell):  # type: ignore[no-untyped-def]
+    cells: Float = np.empty((4 * len(boxes), 3))
+    box_of: Int = np.empty(4 * len(boxes), np.int64)
+    size = 0
+    for box in range(len(boxes)):
+        for i in _cell_range(boxes, box, 0, cell):
+            for j in _cell_range(boxes, box, 1, cell):
+                for k in _cell_range(boxes, box, 2, cell):
+                    if size == len(cells):
+                        cells = np.concatenate((cells, np.empty_like(cells)))
+                        box_of = np.concatenate((box_of, np.empty_like(box_of)))
+                    cells[size, 0], cells[size, 1], cells[size, 2] = i, j, k
+                    box_of[size] = box
+                    size += 1
+    return cells[:size], box_of[:size]
+
+
+@numba.njit(cache=True, nogil=True)
+def _meets(boxes, cell, grid):  # type: ignore[no-untyped-def]
+    """Mask (F,) of the boxes that touch a cell of the grid."""
+    meets = np.zeros(len(boxes), np.bool_)
+    for box in range(len(boxes)):
+        for i in _cell_range(boxes, box, 0, cell):
+            for j in _cell_range(boxes, box, 1, cell):
+                for k in _cell_range(boxes, box, 2, cell):
+                    begin, end = points_in_cell(grid, *cell_of(grid, i, j, k))
+                    meets[box] |= end > begin
+    return meets
+
+
+@numba.njit(cache=True, nogil=True)
+def _crossing_pairs(vertices, faces, boxes, cell, among, grid, face):  # type: ignore[no-untyped-def]
+    """Candidates are the faces of one cell of the grid; two that share several cells meet in the first of them."""
     pairs: Int = np.empty((64, 2), np.int64)
     count = 0
-    for face in np.flatnonzero(among):
-        first = cell_of(grid, low[face, 0] - largest, low[face, 1] - largest, low[face, 2] - largest)
-        last = cell_of(grid, high[face, 0], high[face, 1], high[face, 2])
-        for i in range(first[0], last[0] + 1):
-            for j in range(first[1], last[1] + 1):
-                for k in range(first[2], last[2] + 1):
-                    begin, end = points_in_cell(grid, i, j, k)
-                    for row in range(begin, end):
-                        other = grid.order[row]
-                        seen_from_other = among[other] and other <= face
-                        if seen_from_other or _boxes_apart(low, high, face, other):
-                            continue
-                        if faces_cross(vertices, faces[face], faces[other]):
-                            if count == len(pairs):
-                                pairs = np.concatenate((pairs, np.empty_like(pairs)))
-                            pairs[count, 0], pairs[count, 1] = min(face, other), max(face, other)
-                            count += 1
+    for number in range(len(grid.cells)):
+        begin, end = grid.begin[number], grid.begin[number + 1]
+        place = (grid.points[begin, 0], grid.points[begin, 1], grid.points[begin, 2])
+        for row in range(begin, end):
+            one = face[row]
+            for column in range(row + 1, end):
+                other = face[column]
+                if _boxes_apart(boxes, one, other) or not (among[one] or among[other]):
+                    continue
+                if not _is_first_of_both(boxes, one, other, cell, place):
+                    continue
+                if faces_cross(vertices, _corners(faces, one), _corners(faces, other)):
+                    if count == len(pairs):
+                        pairs = np.concatenate((pairs, np.empty_like(pairs)))
+                    pairs[count, 0], pairs[count, 1] = one, other
+                    count += 1
     return pairs[:count]
 
 
 @numba.njit(cache=True, nogil=True)
-def _boxes_apart(low, high, one, other):  # type: ignore[no-untyped-def]
+def _corners(faces, face):  # type: ignore[no-untyped-def]
+    return faces[face, 0], faces[face, 1], faces[face, 2]
+
+
+@numba.njit(cache=True, nogil=True)
+def _boxes_apart(boxes, one, other):  # type: ignore[no-untyped-def]
     apart = False
     for axis in range(3):
-        apart |= low[one, axis] > high[other, axis] or low[other, axis] > high[one, axis]
+        apart |= boxes[one, axis] > boxes[other, axis + 3] or boxes[other, axis] > boxes[one, axis + 3]
     return apart
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_first_of_both(boxes, one, other, cell, place):  # type: ignore[no-untyped-def]
+    """Whether the cell at a place is the first one that both boxes touch."""
+    first = True
+    for axis in range(3):
+        first &= math.floor(max(boxes[one, axis], boxes[other, axis]) / cell) == place[axis]
+    return first
 
 
 @numba.njit(cache=True, nogil=True)
@@ -86,17 +164,18 @@ def faces_cross(vertices, one, other):  # type: ignore[no-untyped-def]
             shared += one[i] == other[j]
     if shared >= 2:
         return False
-    normal_one, size_one = _normal(vertices, one)
-    normal_other, size_other = _normal(vertices, other)
+    area_one, size_one = _area_vector(vertices, one)
+    area_other, size_other = _area_vector(vertices, other)
+    touch = _TOUCH * max(size_one, size_other)
+    # Before the line, which means little where the planes are almost one, and first of all as most neighbors end here.
+    if _separates(vertices, one, other, area_one, touch) or _separates(vertices, other, one, area_other, touch):
+        return False
+    normal_one, normal_other = _unit(area_one), _unit(area_other)
     if _is_zero(normal_one) or _is_zero(normal_other):
         return False
-    touch = _TOUCH * max(size_one, size_other)
     height_one = _heights(vertices, one, other, normal_other, touch)
     height_other = _heights(vertices, other, one, normal_one, touch)
     if _on_one_side(height_one) or _on_one_side(height_other):
-        return False
-    # Before the line, which means little where the planes are almost one.
-    if _separates(vertices, one, other, normal_one, touch) or _separates(vertices, other, one, normal_other, touch):
         return False
     if _is_zero(height_one) or _is_zero(height_other):
         return True
@@ -114,17 +193,23 @@ def faces_cross(vertices, one, other):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _normal(vertices, face):  # type: ignore[no-untyped-def]
-    """Unit normal of a face and its longest side along an axis; the normal of a face without area is zero."""
+def _area_vector(vertices, face):  # type: ignore[no-untyped-def]
+    """Normal of a face, as long as twice its area, and its longest side along an axis."""
     a, b, c = face[0], face[1], face[2]
     ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
     vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = math.sqrt(x * x + y * y + z * z)
     size = max(abs(ux), abs(uy), abs(uz), abs(vx), abs(vy), abs(vz))
+    return (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx), size
+
+
+@numba.njit(cache=True, nogil=True)
+def _unit(vector):  # type: ignore[no-untyped-def]
+    """The vector at length 1; zero if it is zero."""
+    x, y, z = vector
+    length = math.sqrt(x * x + y * y + z * z)
     if length == 0.0:
-        return (0.0, 0.0, 0.0), size
-    return (x / length, y / length, z / length), size
+        return 0.0, 0.0, 0.0
+    return x / length, y / length, z / length
 
 
 @numba.njit(cache=True, nogil=True)
@@ -189,23 +274,25 @@ def _along(vertices, vertex, base, line):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _separates(vertices, face, other, normal, touch):  # type: ignore[no-untyped-def]
-    """Whether the upright plane through a side of the face has the face on one side and all of the other one beyond."""
+def _separates(vertices, face, other, area, touch):  # type: ignore[no-untyped-def]
+    """Whether the upright plane through a side of the face has the face on one side and all of the other one beyond.
+
+    area: normal of the face, of any length.
+    """
     for i in range(3):
         a, b, c = face[i], face[(i + 1) % 3], face[(i + 2) % 3]
         dx, dy, dz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-        x = normal[1] * dz - normal[2] * dy
-        y = normal[2] * dx - normal[0] * dz
-        z = normal[0] * dy - normal[1] * dx
-        length = math.sqrt(x * x + y * y + z * z)
-        if length == 0.0:
+        inward = (area[1] * dz - area[2] * dy, area[2] * dx - area[0] * dz, area[0] * dy - area[1] * dx)
+        squared = inward[0] * inward[0] + inward[1] * inward[1] + inward[2] * inward[2]
+        if squared == 0.0:
             continue
-        inward = (x / length, y / length, z / length)
         if _along(vertices, c, a, inward) < 0.0:
             inward = (-inward[0], -inward[1], -inward[2])
-        farthest = -np.inf
-        for j in range(3):
-            farthest = max(farthest, _along(vertices, other[j], a, inward))
-        if farthest <= touch:
+        farthest = max(
+            _along(vertices, other[0], a, inward),
+            _along(vertices, other[1], a, inward),
+            _along(vertices, other[2], a, inward),
+        )
+        if farthest <= 0.0 or farthest * farthest <= touch * touch * squared:
             return True
     return False

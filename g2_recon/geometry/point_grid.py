@@ -16,6 +16,8 @@ from g2_recon.errors import InputError
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
+_FEWEST_SLOTS = 64  # a power of two, and so are all table sizes
+
 
 class PointGrid(NamedTuple):
     """Points sorted by cubic cells; a tuple of arrays, so that kernels take it as it is.
@@ -29,7 +31,7 @@ class PointGrid(NamedTuple):
     order: Int
     begin: Int
     cells: Int
-    slots: Int
+    slots: NDArray[np.int32]
     origin: Float
     cell: float
 
@@ -45,51 +47,81 @@ def point_grid(points: Float, *, cell: float) -> PointGrid:
         raise InputError("some points are not finite", where="point grid", advice="remove them first")
     if not (math.isfinite(cell) and cell > 0):
         raise InputError(f"a cell edge of {cell} m", where="point grid", advice="give a length above 0")
-    origin = points.min(axis=0) if len(points) else np.zeros(3)
-    cells = np.floor((points - origin) / cell).astype(np.int64)
-    slots = np.full(_table_size(len(points)), -1, np.int64)
-    number, count = _number_cells(cells, slots)
-    begin = np.zeros(count + 1, np.int64)
-    np.cumsum(np.bincount(number, minlength=count), out=begin[1:])
-    order = np.argsort(number, kind="stable")
-    return PointGrid(
-        np.ascontiguousarray(points[order]), order, begin, cells[order[begin[:-1]]], slots, origin, float(cell)
-    )
-
-
-def _table_size(count: int) -> int:
-    """A power of two that leaves at least half of a hash table empty."""
-    return 1 << (2 * max(count, 8) - 1).bit_length()
+    # Axis by axis, and by take: several times as fast as over rows of three.
+    origin = np.array([points[:, axis].min() for axis in range(3)]) if len(points) else np.zeros(3)
+    number, cells, slots = _number_cells(points, origin, float(cell))
+    order, begin = _sort_by_counting(number, len(cells))
+    return PointGrid(points.take(order, axis=0), order, begin, cells, slots, origin, float(cell))
 
 
 @numba.njit(cache=True, nogil=True)
 def _slot(i, j, k, slots):  # type: ignore[no-untyped-def]
-    # Teschner et al., "Optimized spatial hashing for collision detection of deformable objects", 2003, section 3.1;
-    # the shift mixes the high bits into the low ones that the mask keeps.
-    value = (i * 73856093) ^ (j * 19349663) ^ (k * 83492791)
-    return (value ^ (value >> 15)) & (len(slots) - 1)
+    # By multiplication, of which the middle bits are the best mixed: Knuth, The Art of Computer Programming, vol. 3,
+    # section 6.4; odd factors without a pattern, one an axis.
+    value = i * 0x1E3779B97F4A7C15 + j * 0x2545F4914F6CDD1D + k * 0x369DEA0F31A53F85
+    return (value >> 32) & (len(slots) - 1)
 
 
 @numba.njit(cache=True, nogil=True)
-def _number_cells(cells, slots):  # type: ignore[no-untyped-def]
-    """The number (N,) of the cell of each row of cells (N, 3), in order of first occurrence, and how many there are."""
-    number = np.empty(len(cells), np.int64)
-    first = np.empty(len(cells), np.int64)
+def _number_cells(points, origin, cell):  # type: ignore[no-untyped-def]
+    """The number (N,) of the cell of each point, in order of first occurrence, the cells (C, 3), and the table of them.
+
+    The table grows with the cells, so that it stays small where a cell has many points, and is at most an eighth full,
+    so that a search ends at once.
+    """
+    number = np.empty(len(points), np.int32)
+    cells: Int = np.empty((_FEWEST_SLOTS // 8, 3), np.int64)
+    slots = np.full(_FEWEST_SLOTS, -1, np.int32)
     count = 0
-    for row in range(len(cells)):
-        i, j, k = cells[row, 0], cells[row, 1], cells[row, 2]
+    for row in range(len(points)):
+        i = math.floor((points[row, 0] - origin[0]) / cell)
+        j = math.floor((points[row, 1] - origin[1]) / cell)
+        k = math.floor((points[row, 2] - origin[2]) / cell)
         slot = _slot(i, j, k, slots)
         while slots[slot] >= 0:
-            known = first[slots[slot]]
+            known = slots[slot]
             if cells[known, 0] == i and cells[known, 1] == j and cells[known, 2] == k:
                 break
             slot = (slot + 1) & (len(slots) - 1)
         if slots[slot] < 0:
             slots[slot] = count
-            first[count] = row
+            cells[count, 0], cells[count, 1], cells[count, 2] = i, j, k
             count += 1
-        number[row] = slots[slot]
-    return number, count
+            number[row] = count - 1
+            if count == len(cells):
+                cells = np.concatenate((cells, np.empty_like(cells)))
+                slots = _table(cells, count, 2 * len(slots))
+        else:
+            number[row] = slots[slot]
+    return number, cells[:count].copy(), slots
+
+
+@numba.njit(cache=True, nogil=True)
+def _table(cells, count, size):  # type: ignore[no-untyped-def]
+    """A hash table of the first cells."""
+    slots = np.full(size, -1, np.int32)
+    for number in range(count):
+        slot = _slot(cells[number, 0], cells[number, 1], cells[number, 2], slots)
+        while slots[slot] >= 0:
+            slot = (slot + 1) & (size - 1)
+        slots[slot] = number
+    return slots
+
+
+@numba.njit(cache=True, nogil=True)
+def _sort_by_counting(number, count):  # type: ignore[no-untyped-def]
+    """The order (N,) that sorts numbers below `count`, equal ones as they come, and where (count + 1,) each begins."""
+    begin = np.zeros(count + 1, np.int64)
+    for row in range(len(number)):
+        begin[number[row] + 1] += 1
+    for group in range(count):
+        begin[group + 1] += begin[group]
+    end = begin[:-1].copy()
+    order = np.empty(len(number), np.int64)
+    for row in range(len(number)):
+        order[end[number[row]]] = row
+        end[number[row]] += 1
+    return order, begin
 
 
 @numba.njit(cache=True, nogil=True)

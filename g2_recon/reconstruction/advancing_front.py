@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.edges import edges_of, half_edge_numbers
 from g2_recon.geometry.intersections import faces_cross
 from g2_recon.geometry.point_grid import PointGrid, cell_of, point_grid, points_in_cell
 from g2_recon.reconstruction.support import triangle_supported
@@ -105,9 +106,9 @@ def join_submaps(
 
 
 def _check_half_edges(faces: Int, count: int) -> None:
-    begin, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    key = begin * count + end
-    if (begin == end).any() or len(np.unique(key)) < len(key):
+    edges, face_edges = edges_of(faces, count)
+    times = np.bincount(half_edge_numbers(faces, face_edges).ravel())
+    if (edges[:, 0] == edges[:, 1]).any() or (times > 1).any():
         raise InputError(
             "an edge is used twice in one direction",
             where="faces of the submaps",

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.geometry.edges import edges_of
+
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -50,7 +52,7 @@ def insert_creases(
     simplification using quadric error metrics", 1997, section 4), a face with three such edges also the point of its
     three planes. No part of a face is turned over: where one would be, the edges of that face stay undivided.
     """
-    edges, face_edges = _edges(faces, len(vertices))
+    edges, face_edges = edges_of(faces, len(vertices))
     middle = vertices[edges].mean(axis=1)
     place = _nearest_to_planes(centers[edges], normals[edges], middle)
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -67,14 +69,6 @@ def insert_creases(
         if not divided[face_edges[turned]].any():
             return surface
         divided[face_edges[turned]] = False
-
-
-def _edges(faces: Int, count: int) -> tuple[Int, Int]:
-    """The edges (E, 2) of the faces, and the edge (F, 3) that follows each corner of a face."""
-    following = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2)
-    key = following.min(axis=2) * count + following.max(axis=2)
-    unique, inverse = np.unique(key.ravel(), return_inverse=True)
-    return np.stack([unique // count, unique % count], axis=1), inverse.reshape(-1, 3)
 
 
 def _nearest_to_planes(centers: Float, normals: Float, hold: Float) -> Float:

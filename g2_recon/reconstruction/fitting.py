@@ -14,6 +14,7 @@ from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.linalg import cg
 
 from g2_recon.geometry.closest import closest_on_mesh
+from g2_recon.geometry.edges import edges_of
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -74,8 +75,8 @@ def _distances(
 
 def _laplacian(faces: Int, free: Mask) -> csr_array:
     """How far each free vertex moves beyond the mean of its neighbors: (free, free); the others stay."""
-    ends = np.unique(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=0)
-    ends = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
+    edges, _ = edges_of(faces, len(free))
+    ends = np.concatenate([edges, edges[:, ::-1]])
     ends = ends[free[ends[:, 0]]]
     number = np.cumsum(free) - 1
     count = int(free.sum())

@@ -9,9 +9,8 @@ import math
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from g2_recon.geometry.edges import edges_of, half_edge_numbers, is_open
 from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.point_grid import PointGrid
 from g2_recon.reconstruction.support import supported
@@ -63,26 +62,65 @@ def _fans(faces: Int, count: int) -> tuple[Int, Int]:
 
     Corners at one vertex belong to one fan where their faces share an edge at that vertex.
     """
-    corner = np.arange(faces.size).reshape(-1, 3)
-    begin, end = faces, np.roll(faces, -1, axis=1)
-    low, high = np.minimum(begin, end), np.maximum(begin, end)
-    key = (low * count + high).ravel()
-    order = np.argsort(key, kind="stable")
-    same = np.flatnonzero(key[order][1:] == key[order][:-1])
-    one, other = order[same], order[same + 1]
-    after = np.roll(corner, -1, axis=1).ravel()
+    one, other = _neighbors_at_edges(edges_of(faces, count)[1])
     # Half-edge h runs from corner h to after[h]; of two faces at an edge, the corners at the same vertex are linked.
+    after = np.roll(np.arange(faces.size).reshape(-1, 3), -1, axis=1).ravel()
     same_way = faces.ravel()[one] == faces.ravel()[other]
-    links = np.concatenate(
-        [
-            np.stack([one, np.where(same_way, other, after[other])], axis=1),
-            np.stack([after[one], np.where(same_way, after[other], other)], axis=1),
-        ]
+    fan, first_corner = _linked(
+        np.concatenate([one, after[one]]),
+        np.concatenate([np.where(same_way, other, after[other]), np.where(same_way, after[other], other)]),
+        faces.size,
     )
-    graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(faces.size, faces.size))
-    _, fan = connected_components(graph, directed=False)
-    _, first_corner, fan = np.unique(fan, return_index=True, return_inverse=True)
-    return fan.astype(np.int64), faces.ravel()[first_corner].astype(np.int64)
+    return fan, faces.ravel()[first_corner]
+
+
+def _neighbors_at_edges(face_edges: Int) -> tuple[Int, Int]:
+    """Pairs of half-edges (P,), (P,) that follow each other among those (F, 3) of one edge; a half-edge is a corner."""
+    before = _before_at_edge(face_edges.reshape(-1))
+    other = np.flatnonzero(before >= 0)
+    return before[other], other
+
+
+@numba.njit(cache=True, nogil=True)
+def _before_at_edge(edge):  # type: ignore[no-untyped-def]
+    before = np.empty(len(edge), np.int64)
+    last = np.full(len(edge), -1, np.int64)
+    for half_edge in range(len(edge)):
+        before[half_edge] = last[edge[half_edge]]
+        last[edge[half_edge]] = half_edge
+    return before
+
+
+@numba.njit(cache=True, nogil=True)
+def _linked(one, other, size):  # type: ignore[no-untyped-def]
+    """The group (size,) of each member of what hangs together by links one (L,) to other (L,), and its first member.
+
+    Union-find with path halving (Tarjan and van Leeuwen, 1984); groups are numbered by their first members.
+    """
+    parent = np.arange(size)
+    for link in range(len(one)):
+        first, second = _root(parent, one[link]), _root(parent, other[link])
+        parent[max(first, second)] = min(first, second)
+    group = np.empty(size, np.int64)
+    first_member = np.empty(size, np.int64)
+    count = 0
+    for member in range(size):
+        root = _root(parent, member)
+        if root == member:
+            first_member[count] = member
+            group[member] = count
+            count += 1
+        else:
+            group[member] = group[root]
+    return group, first_member[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _root(parent, member):  # type: ignore[no-untyped-def]
+    while parent[member] != member:
+        parent[member] = parent[parent[member]]
+        member = parent[member]
+    return member
 
 
 def _fan_middles(vertices: Float, faces: Int) -> Float:
@@ -95,14 +133,7 @@ def _fan_middles(vertices: Float, faces: Int) -> Float:
 
 def border_half_edges(faces: Int, count: int) -> Int:
     """The half-edges (B, 2) of faces (F, 3) over `count` vertices that no face has in the other direction."""
-    half_edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    return np.asarray(half_edges[_is_open(faces, count)])
-
-
-def _is_open(faces: Int, count: int) -> Mask:
-    """Mask (3 F,) of the half-edges, one after each corner of the faces, that no face has in the other direction."""
-    begin, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    return ~np.isin(begin * count + end, end * count + begin)
+    return np.asarray(np.stack([faces, faces[:, [1, 2, 0]]], axis=2)[is_open(faces, count)])
 
 
 def extend_borders(
@@ -174,10 +205,10 @@ def _outward_directions(vertices: Float, faces: Int, normals: Float) -> Float:
     """Unit vectors (V, 3) off the surface in the tangent plane of each border vertex; zero for others."""
     area = _area_vectors(vertices, faces)
     area /= np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-12)
-    is_open = _is_open(faces, len(vertices))
-    begin, end = faces.ravel()[is_open], np.roll(faces, -1, axis=1).ravel()[is_open]
+    border = is_open(faces, len(vertices))
+    begin, end = faces[border], faces[:, [1, 2, 0]][border]
     # As long as the edge, so that a long side counts for more.
-    away = np.cross(vertices[end] - vertices[begin], np.repeat(area, 3, axis=0)[is_open])
+    away = np.cross(vertices[end] - vertices[begin], area[np.nonzero(border)[0]])
     both = np.concatenate([begin, end])
     total = _sums(both, np.tile(away, (2, 1)), len(vertices))
     total -= np.einsum("vi,vi->v", total, normals)[:, None] * normals
@@ -197,15 +228,14 @@ def _quantiles(value: Float, group: Int, quantile: float, count: int) -> tuple[F
     return np.where(size > 0, result, 0.0), size
 
 
-def large_pieces(vertices: Float, faces: Int, *, least_area: float) -> Mask:
-    """Mask (F,) of the faces in pieces of at least `least_area` (m^2); a piece is what hangs together by edges."""
-    fan, _ = _fans(faces, len(vertices))
-    corners = fan.reshape(-1, 3)
-    links = np.concatenate([corners[:, :2], corners[:, 1:]])
-    graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(faces.size, faces.size))
-    piece = connected_components(graph, directed=False)[1][corners[:, 0]]
-    area = 0.5 * np.linalg.norm(_area_vectors(vertices, faces), axis=1)
-    return np.asarray(np.bincount(piece, area)[piece] >= least_area) if len(faces) else np.zeros(0, bool)
+def large_pieces(vertices: Float, faces: Int, *, least_area: float, least_faces: int = 1) -> Mask:
+    """Mask (F,) of the faces in pieces of so many faces and so much area (m^2); a piece hangs together by edges."""
+    if not len(faces):
+        return np.zeros(0, bool)
+    one, other = _neighbors_at_edges(edges_of(faces, len(vertices))[1])
+    piece, _ = _linked(one // 3, other // 3, len(faces))
+    area = np.bincount(piece, 0.5 * np.linalg.norm(_area_vectors(vertices, faces), axis=1))
+    return np.asarray(((area >= least_area) & (np.bincount(piece) >= least_faces))[piece])
 
 
 def remove_crossings(vertices: Float, faces: Int, home: Float) -> tuple[Float, Mask]:
@@ -293,7 +323,7 @@ def _unit(vectors: Float) -> Float:
 
 def _backs(faces: Int, loops: Int, size: Int, count: int) -> Mask:
     """Mask (L,) of the loops that are around a face without neighbors: what closes them would be its back."""
-    alone = faces[_is_open(faces, count).reshape(-1, 3).all(axis=1)]
+    alone = faces[is_open(faces, count).all(axis=1)]
     corners = {tuple(face) for face in np.sort(alone, axis=1).tolist()}
     around = [size[loop] == 3 and tuple(sorted(loops[loop, :3].tolist())) in corners for loop in range(len(loops))]
     return np.array(around, bool)
@@ -303,7 +333,7 @@ def _small_loops(vertices: Float, faces: Int, max_edges: int) -> tuple[Int, Int]
     """Holes of at most `max_edges` edges: vertices (L, max_edges) in the order of new faces, and how many (L,)."""
     half_edges = border_half_edges(faces, len(vertices))[:, ::-1]
     half_edges = np.ascontiguousarray(half_edges[np.lexsort((half_edges[:, 1], half_edges[:, 0]))])
-    begin = np.searchsorted(half_edges[:, 0], np.arange(len(vertices) + 1))
+    begin = np.concatenate([[0], np.cumsum(np.bincount(half_edges[:, 0], minlength=len(vertices)))])
     return tuple(
         _walk_loops(np.ascontiguousarray(vertices), _vertex_normals(vertices, faces), half_edges, begin, max_edges)
     )
@@ -435,15 +465,24 @@ def _area(vertices, a, b, c):  # type: ignore[no-untyped-def]
 
 def _keeps_manifold(faces: Int, triangles: Int, loop: Int, size: Int, accepted: Mask, count: int) -> Mask:
     """Mask (L,) of the accepted loops whose triangles use no half-edge that a face or an earlier loop uses."""
-    half_edges = triangles * count + np.roll(triangles, -1, axis=1)
-    used = np.isin(half_edges, faces * count + np.roll(faces, -1, axis=1)).any(axis=1)
-    accepted = accepted & (np.bincount(loop, used, len(size)) == 0)
-    begin = np.concatenate([[0], np.cumsum(size - 2)])
-    taken: set[int] = set()
-    good = np.zeros(len(size), bool)
-    for number in np.flatnonzero(accepted):
-        mine = half_edges[begin[number] : begin[number + 1]].ravel().tolist()
-        good[number] = taken.isdisjoint(mine) and len(set(mine)) == len(mine)
-        if good[number]:
-            taken.update(mine)
+    both = np.concatenate([faces, triangles])
+    half_edge = half_edge_numbers(both, edges_of(both, count)[1])
+    used = np.zeros(2 * both.size, bool)
+    used[half_edge[: len(faces)]] = True
+    begin = 3 * np.concatenate([[0], np.cumsum(size - 2)])
+    return np.asarray(_take_half_edges(half_edge[len(faces) :].reshape(-1), begin, accepted, used))
+
+
+@numba.njit(cache=True, nogil=True)
+def _take_half_edges(half_edges, begin, accepted, used):  # type: ignore[no-untyped-def]
+    """Which of the accepted loops, one after the other, get all their half-edges [begin[loop], begin[loop + 1])."""
+    good = np.zeros(len(accepted), np.bool_)
+    for loop in np.flatnonzero(accepted):
+        taken = begin[loop]
+        while taken < begin[loop + 1] and not used[half_edges[taken]]:
+            used[half_edges[taken]] = True
+            taken += 1
+        good[loop] = taken == begin[loop + 1]
+        if not good[loop]:
+            used[half_edges[begin[loop] : taken]] = False
     return good

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.edges import edges_of
 from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.geometry.point_grid import PointGrid, point_grid
 from g2_recon.progress import Progress, silent
@@ -55,7 +56,8 @@ _REACH = 1.25
 _FARTHEST_EXTENSION = 0.9
 # The fit looks for data of a triangle in this part of a cell around it.
 _FARTHEST_FIT = 0.25
-# A piece of less than this many cells, such as the strip that a single scan saw, is no surface that one would see.
+# A piece of less than this many cells, such as the strip that a single scan saw, or of a single face is no surface
+# that one would see.
 _LEAST_PIECE = 0.5
 # Coordinates are whole multiples of this share of the spacing, a micrometre at 20 cm: faces of one wall would else be
 # coplanar to the last bit, which exact tests of other tools take for overlap.
@@ -180,7 +182,7 @@ def triangulate(
     vertices, sound = remove_crossings(extended, faces, vertices)
     faces, face_submap = _filled(vertices, faces[sound], face_submap[sound], grid, near)
     vertices, faces, _ = split_pinched(vertices, faces)
-    large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2)
+    large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2, least_faces=2)
     vertices, faces = _without_unused(vertices, faces[large])
     grain = _GRAIN * config.spacing
     return Mesh(np.round(vertices / grain) * grain, faces, face_submap[large])
@@ -203,8 +205,7 @@ def wire_of(mesh: Mesh) -> WireMesh:
     """The vertices and edges of a mesh as a wire mesh; a vertex belongs to the lowest submap among its faces."""
     submap = np.full(len(mesh.vertices), len(mesh.submap) + 1)
     np.minimum.at(submap, mesh.faces.ravel(), np.repeat(mesh.submap, 3))
-    ends = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges = np.unique(ends, axis=0)
+    edges, _ = edges_of(mesh.faces, len(mesh.vertices))
     return WireMesh(mesh.vertices, edges, submap, submap[edges[:, 0]] != submap[edges[:, 1]])
 
 

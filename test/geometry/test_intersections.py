@@ -97,3 +97,15 @@ def test_triangles_cross_exactly_where_a_side_of_one_goes_through_the_other(seed
             sides = [(corners[i][k - 1], corners[i][k], corners[j]) for k in range(3)]
             sides += [(corners[j][k - 1], corners[j][k], corners[i]) for k in range(3)]
             assert ((i, j) in found) == any(segment_through_triangle(*side) for side in sides)
+
+
+def test_large_and_small_faces_cross_as_if_each_pair_were_alone():
+    rng = np.random.default_rng(0)
+    size = np.where(rng.random(60) < 0.1, 3.0, 0.2)
+    vertices = (rng.uniform(0, 1, (60, 1, 3)) + size[:, None, None] * rng.normal(0, 0.5, (60, 3, 3))).reshape(-1, 3)
+    faces = np.arange(180).reshape(-1, 3)
+    expected = [[i, j] for i in range(60) for j in range(i + 1, 60) if len(crossing_pairs(vertices, faces[[i, j]]))]
+    assert len(expected) > 20
+    assert crossing_pairs(vertices, faces).tolist() == expected
+    chosen = rng.random(60) < 0.1
+    assert crossing_pairs(vertices, faces, among=chosen).tolist() == [p for p in expected if chosen[p].any()]

@@ -57,3 +57,12 @@ def test_the_nearest_point_is_that_of_a_tree(cell):
     distance, nearest = cKDTree(points).query(places)
     expected = np.where(distance < 0.2, nearest, -1)
     assert [nearest_point(grid, *place, 0.2) for place in places] == expected.tolist()
+
+
+def test_points_of_a_cell_keep_their_order_and_cells_come_as_their_first_points():
+    points = np.random.default_rng(0).uniform(0, 2, (2000, 3))
+    grid = point_grid(points, cell=0.25)
+    cells = np.floor((points - points.min(axis=0)) / 0.25).astype(np.int64)
+    _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    assert (grid.cells == cells[np.sort(first)]).all()
+    assert (grid.order == np.lexsort((np.arange(2000), first[number.reshape(-1)]))).all()

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.point_grid import point_grid
 from g2_recon.reconstruction.mesh_repair import (
+    _take_half_edges,
     border_half_edges,
     extend_borders,
     fill_small_loops,
@@ -275,7 +278,51 @@ def test_small_pieces_are_told_from_large_ones():
     assert large.tolist() == [True] * len(faces) + [False]
 
 
+def test_a_face_alone_is_no_large_piece_where_two_are_asked_for():
+    vertices, faces = sheet()
+    both = np.concatenate([vertices, np.array([[3, 0, 0], [4, 0, 0], [3, 1, 0]])])
+    large = large_pieces(both, np.concatenate([faces, [[36, 37, 38]]]), least_area=0.1, least_faces=2)
+    assert large.tolist() == [True] * len(faces) + [False]
+
+
 def test_pieces_that_touch_in_a_vertex_are_two():
     vertices, faces = two_triangles_at_a_point()
     vertices[3:] *= 0.1
     assert large_pieces(vertices, faces, least_area=0.1).tolist() == [True, False]
+
+
+def some_pieces(seed):
+    """Parts of a sheet and of a copy of it that lies apart, and how much area each piece has by scipy's components."""
+    vertices, faces = sheet(columns=9, rows=9)
+    rng = np.random.default_rng(seed)
+    faces = np.concatenate([faces, faces + len(vertices)])
+    faces = faces[rng.random(len(faces)) < 0.5]
+    half = {tuple(half_edge): i // 3 for i, half_edge in enumerate(half_edges(faces).tolist())}
+    links = np.array([(face, half[end, begin]) for (begin, end), face in half.items() if (end, begin) in half])
+    graph = coo_array((np.ones(len(links)), links.T), shape=(len(faces), len(faces)))
+    return np.concatenate([vertices, vertices + (0, 0, 1)]), faces, connected_components(graph, directed=False)[1]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_piece_is_what_hangs_together_by_edges(seed):
+    vertices, faces, piece = some_pieces(seed)
+    expected = np.bincount(piece)[piece] >= 5
+    assert 0 < expected.sum() < len(faces)
+    # Each face has 0.02 square metres.
+    assert large_pieces(vertices, faces, least_area=0.09).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_loops_take_their_half_edges_one_after_the_other(seed):
+    rng = np.random.default_rng(seed)
+    begin = np.cumsum(np.concatenate([[0], rng.integers(1, 5, 20)]))
+    wanted, accepted = rng.integers(0, 80, begin[-1]), rng.random(20) < 0.8
+    used = rng.random(80) < 0.1
+    taken, expected = set(np.flatnonzero(used).tolist()), []
+    for loop in range(20):
+        mine = wanted[begin[loop] : begin[loop + 1]].tolist()
+        good = bool(accepted[loop]) and len(set(mine)) == len(mine) and taken.isdisjoint(mine)
+        taken.update(mine if good else [])
+        expected.append(good)
+    assert 0 < sum(expected) < accepted.sum()
+    assert _take_half_edges(wanted, begin, accepted, used).tolist() == expected
