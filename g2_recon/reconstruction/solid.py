@@ -182,7 +182,7 @@ def triangulate(
     vertices, sound = remove_crossings(extended, faces, vertices)
     faces, face_submap = _filled(vertices, faces[sound], face_submap[sound], grid, near)
     vertices, faces, _ = split_pinched(vertices, faces)
-    large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2, least_faces=2)
+    large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2)
     vertices, faces = _without_unused(vertices, faces[large])
     grain = _GRAIN * config.spacing
     return Mesh(np.round(vertices / grain) * grain, faces, face_submap[large])
