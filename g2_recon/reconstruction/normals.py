@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
+from g2_recon.geometry.point_tree import BLOCK, PointTree, nearest_to_block
+from g2_recon.reconstruction.chunks import in_chunks
+
 Float = NDArray[np.float64]
 
 # Directions along a surface in which a point has one neighbor each.
@@ -41,58 +44,80 @@ class LocalPlanes:
     around: NDArray[np.int32]
 
 
-def fit_local_planes(points: Float, rows: NDArray[np.int64], index: NDArray[np.int64]) -> LocalPlanes:
-    """Fit a plane to the neighbors `index` (M, k) of each of the points `rows` (M,).
+def fit_local_planes(
+    points: Float, rows: NDArray[np.int64], tree: PointTree, neighbors: int, radius: float
+) -> LocalPlanes:
+    """Fit a plane to the nearest `neighbors` in the tree within `radius` (m) of each of the points `rows` (M,).
 
-    points: (N, 3). Neighbors are in order of distance; N stands for none, as from a tree of SciPy. Runs without the
-    global interpreter lock.
+    points: (N, 3) m. Rows that are near each other should follow each other. Runs without the global interpreter lock.
     """
     middles, normals, spread = np.empty((3, len(rows), 3))
     count = np.empty(len(rows), np.int64)
     around = np.full((len(rows), SECTORS), -1, np.int32)
-    _fit_local_planes(points, rows, index, middles, normals, spread, count, around)
+    _fit_local_planes(points, rows, tree, neighbors, radius, middles, normals, spread, count, around)
     return LocalPlanes(middles, normals, spread, count, around)
 
 
 @numba.njit(cache=True, nogil=True)
-def _fit_local_planes(points, rows, index, middles, normals, spread, count, around):  # type: ignore[no-untyped-def]
-    matrix, axes, square = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    for row in range(len(rows)):
-        x, y, z = points[rows[row]]
-        # Sums are relative to the point itself so that large coordinates cost no precision.
-        sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-        number = 0
-        for j in index[row]:
-            if j < len(points):
-                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+def _fit_local_planes(  # type: ignore[no-untyped-def]
+    points, rows, tree, neighbors, radius, middles, normals, spread, count, around
+):
+    block, number = np.empty((BLOCK, 3)), np.empty(BLOCK, np.int64)
+    squared, places = np.empty((BLOCK, neighbors)), np.empty((BLOCK, neighbors), np.int64)
+    away, matrix, axes, square = np.empty((neighbors, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    begin = 0
+    while begin < len(rows):
+        size = _block_at(points, rows, begin, radius, block)
+        nearest_to_block(tree, block[:size], radius * radius, squared, places, number)
+        for b in range(size):
+            row, x, y, z = begin + b, block[b, 0], block[b, 1], block[b, 2]
+            # Sums are relative to the point itself so that large coordinates cost no precision.
+            sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+            for n in range(number[b]):
+                leaf, i = places[b, n] // BLOCK, places[b, n] % BLOCK
+                dx, dy, dz = tree.leaves[leaf, 0, i] - x, tree.leaves[leaf, 1, i] - y, tree.leaves[leaf, 2, i] - z
+                away[n, 0], away[n, 1], away[n, 2] = dx, dy, dz
                 sx, sy, sz = sx + dx, sy + dy, sz + dz
                 xx, xy, xz = xx + dx * dx, xy + dx * dy, xz + dx * dz
                 yy, yz, zz = yy + dy * dy, yz + dy * dz, zz + dz * dz
-                number += 1
-        count[row] = number
-        share = 1.0 / max(number, 1)
-        middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
-        matrix[0, 0] = xx - sx * sx * share
-        matrix[1, 1] = yy - sy * sy * share
-        matrix[2, 2] = zz - sz * sz * share
-        matrix[0, 1] = matrix[1, 0] = xy - sx * sy * share
-        matrix[0, 2] = matrix[2, 0] = xz - sx * sz * share
-        matrix[1, 2] = matrix[2, 1] = yz - sy * sz * share
-        _principal_axes(matrix, axes, square)
-        for a in range(3):
-            normals[row, a] = axes[a, 0]
-            # Three degrees of freedom of the noise went into the plane.
-            spread[row, a] = np.sqrt(max(square[a], 0.0) / max(number - 3, 1))
-        for j in index[row]:
-            if j < len(points):
-                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            count[row] = number[b]
+            share = 1.0 / max(number[b], 1)
+            middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
+            matrix[0, 0] = xx - sx * sx * share
+            matrix[1, 1] = yy - sy * sy * share
+            matrix[2, 2] = zz - sz * sz * share
+            matrix[0, 1] = matrix[1, 0] = xy - sx * sy * share
+            matrix[0, 2] = matrix[2, 0] = xz - sx * sz * share
+            matrix[1, 2] = matrix[2, 1] = yz - sy * sz * share
+            _principal_axes(matrix, axes, square)
+            for a in range(3):
+                normals[row, a] = axes[a, 0]
+                # Three degrees of freedom of the noise went into the plane.
+                spread[row, a] = np.sqrt(max(square[a], 0.0) / max(number[b] - 3, 1))
+            for n in range(number[b]):
+                dx, dy, dz = away[n, 0], away[n, 1], away[n, 2]
                 if dx == 0.0 and dy == 0.0 and dz == 0.0:
                     continue
                 u = dx * axes[0, 2] + dy * axes[1, 2] + dz * axes[2, 2]
                 v = dx * axes[0, 1] + dy * axes[1, 1] + dz * axes[2, 1]
                 sector = (4 if v < 0 else 0) + (2 if u < 0 else 0) + (1 if abs(v) > abs(u) else 0)
                 if around[row, sector] < 0:
-                    around[row, sector] = j
+                    around[row, sector] = tree.number[places[b, n]]
+        begin += size
+
+
+@numba.njit(cache=True, nogil=True)
+def _block_at(points, rows, begin, radius, block):  # type: ignore[no-untyped-def]
+    """Copy points from points[rows[begin]] on into the block, those within the radius of it along each axis."""
+    size = 0
+    for row in rows[begin : begin + BLOCK]:
+        for a in range(3):
+            block[size, a] = points[row, a]
+            # Places far from each other are slower to search for together than each on its own.
+            if abs(block[size, a] - block[0, a]) > radius:
+                return size
+        size += 1
+    return size
 
 
 @numba.njit(cache=True, nogil=True)
@@ -136,39 +161,67 @@ def _principal_axes(matrix, axes, square):  # type: ignore[no-untyped-def]
 
 
 def sharper_planes(
-    points: Float, middles: Float, normals: Float, deviation: Float, neighbors: NDArray[np.int32]
+    points: Float,
+    middles: Float,
+    normals: Float,
+    deviation: Float,
+    neighbors: NDArray[np.int32],
+    workers: int = 1,
 ) -> NDArray[np.int64]:
     """For each point the one (N,) among those around it whose plane it lies on better than on its own, or itself.
 
     The neighbors of a point at a crease are on both of its sides and their plane is on neither; those of a point
     farther from the crease are on one. middles, normals: (N, 3) planes. deviation: (N,) m, of the neighbors across
     them. neighbors: (N, m), the point itself for none. A plane is better where its deviation and the distance of the
-    point from it, taken together, are less than half.
+    point from it, taken together, are less than half. The result does not depend on `workers`.
     """
+    variance = deviation**2
     owner = np.arange(len(points))
     for _ in range(_SHARPENINGS):
-        owner = _sharper_planes(points, middles, normals, deviation**2, neighbors, owner)
+        owner = _next_owner(points, middles, normals, variance, neighbors, owner, workers)
     return owner
 
 
-@numba.njit(cache=True, nogil=True)
-def _sharper_planes(points, middles, normals, variance, neighbors, owner):  # type: ignore[no-untyped-def]
-    result = owner.copy()
-    for i in range(len(points)):
-        least = _BETTER**2 * _misfit(points[i], middles, normals, variance, owner[i])
-        for j in neighbors[i]:
-            misfit = _misfit(points[i], middles, normals, variance, owner[j])
-            if misfit < least:
-                least = misfit
-                result[i] = owner[j]
+def _next_owner(
+    points: Float,
+    middles: Float,
+    normals: Float,
+    variance: Float,
+    neighbors: NDArray[np.int32],
+    owner: NDArray[np.int64],
+    workers: int,
+) -> NDArray[np.int64]:
+    result = np.empty_like(owner)
+
+    def fill(begin: int, end: int) -> None:
+        _fill_next_owner(points, middles, normals, variance, neighbors, owner, begin, end, result)
+
+    in_chunks(fill, len(points), workers)
     return result
 
 
+@numba.njit(cache=True, nogil=True)
+def _fill_next_owner(  # type: ignore[no-untyped-def]
+    points, middles, normals, variance, neighbors, owner, begin, end, result
+):
+    for i in range(begin, end):
+        result[i] = owner[i]
+        least = _BETTER**2 * _misfit(points, i, middles, normals, variance, owner[i])
+        for s in range(neighbors.shape[1]):
+            j = owner[neighbors[i, s]]
+            # Most planes are not even flat enough.
+            if variance[j] < least:
+                misfit = _misfit(points, i, middles, normals, variance, j)
+                if misfit < least:
+                    least = misfit
+                    result[i] = j
+
+
 @numba.njit(cache=True, nogil=True, inline="always")
-def _misfit(point, middles, normals, variance, plane):  # type: ignore[no-untyped-def]
+def _misfit(points, point, middles, normals, variance, plane):  # type: ignore[no-untyped-def]
     height = 0.0
     for a in range(3):
-        height += (point[a] - middles[plane, a]) * normals[plane, a]
+        height += (points[point, a] - middles[plane, a]) * normals[plane, a]
     return variance[plane] + height * height
 
 

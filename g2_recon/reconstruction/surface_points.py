@@ -4,16 +4,16 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.point_tree import PointTree, point_tree
+from g2_recon.reconstruction.chunks import in_chunks
 from g2_recon.reconstruction.normals import (
     SECTORS,
     fit_local_planes,
@@ -41,6 +41,9 @@ _VOXELS_PER_SPACING = 3
 # Morton codes hold 21 bits an axis.
 _MOST_VOXELS = 1 << 21
 
+# Where so many points show that there is a surface, no more are looked at.
+_SAMPLE = 1000
+
 # How often a search that found no plane is repeated over twice the distance.
 _WIDENINGS = 2
 
@@ -54,9 +57,6 @@ _ROUGH = 1.6
 _NARROW_NEIGHBORS = 10
 _NOISY = 0.06
 _FLATTER = 0.6
-
-# Points a task: many tasks a worker, each large enough that its start costs nothing. Results do not depend on it.
-_CHUNK = 8192
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,34 +105,34 @@ def prepare(
     Raises InputError where fewer than ten distinct points remain, where all lie on one line, or where they spread over
     more than 2**21 voxels of a third of the spacing.
     """
-    index = np.flatnonzero(np.isfinite(cloud.points).all(axis=1))
-    if cloud.sensor is not None:
-        index = index[np.isfinite(cloud.sensor[index]).all(axis=1)]
-    _check_extent(cloud.points[index], len(cloud))
+    index = _finite_rows(cloud)
+    points = cloud.points[index]
+    _check_extent(points, len(cloud))
     voxel = spacing / _VOXELS_PER_SPACING
-    origin = cloud.points[index].min(axis=0)
-    cells, order = _spatial_order(cloud.points[index] - origin, voxel)
+    origin = np.array([column.min() for column in points.T])
+    cells, order = _spatial_order(points - origin, voxel)
     kept = index[order]
     points = cloud.points[kept] - origin
     sensor = None if cloud.sensor is None else cloud.sensor[kept] - origin
 
-    local = _local_planes(points, sensor, cells, radius, neighbors, workers)
+    tree = point_tree(points, workers=workers)
+    local = _local_planes(points, sensor, cells, tree, radius, neighbors, workers)
     noise = float(np.median(local.deviation[local.spans])) if local.spans.any() else 0.0
-    _refit_narrow(points, sensor, local, noise, radius, workers)
+    _refit_narrow(points, sensor, tree, local, noise, radius, workers)
     isolated = local.count - 1 < _FEWEST_NEIGHBORS
     off = ~isolated & (
-        _median_distances(points, local.normals, local.around) > max(_OFF_PLANE_NOISE * noise, off_plane)
+        _median_distances(points, local.normals, local.around, workers) > max(_OFF_PLANE_NOISE * noise, off_plane)
     )
-    good = ~isolated & ~off
+    good = np.flatnonzero(~isolated & ~off)
     if _distinct(points[good]) < FEWEST_POINTS:
         raise InputError(
-            f"only {np.count_nonzero(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
+            f"only {len(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
             advice="choose a larger spacing; is the cloud in metres?",
         )
-    links = _links_among(local.around, good)
+    links = _links_among(local.around, good, workers)
     points, cells, kept, local = points[good], cells[good], kept[good], local.select(good)
     normals = local.normals if sensor is not None else orient_consistently(points, local.normals, links)
-    plane = sharper_planes(points, local.middles, normals, local.deviation, links)
+    plane = sharper_planes(points, local.middles, normals, local.deviation, links, workers)
     normals = normals[plane] if sensor is None else orient_to_sensor(points, normals[plane], sensor[good])
     deviation = local.deviation[plane][local.spans[plane]]
     rejected = {
@@ -158,6 +158,14 @@ def first_of_runs(codes: Codes) -> Int:
     return np.flatnonzero(np.concatenate([[True], codes[1:] != codes[:-1]]))
 
 
+def _finite_rows(cloud: Cloud) -> Int:
+    finite = np.isfinite(cloud.points)
+    if cloud.sensor is not None:
+        finite &= np.isfinite(cloud.sensor)
+    # Several times faster than all(axis=1).
+    return np.flatnonzero(finite[:, 0] & finite[:, 1] & finite[:, 2])
+
+
 def _check_extent(points: Float, total: int) -> None:
     distinct = _distinct(points)
     if distinct < FEWEST_POINTS:
@@ -165,14 +173,18 @@ def _check_extent(points: Float, total: int) -> None:
             f"the cloud has {distinct} distinct usable points of {total}",
             advice=f"a surface needs at least {FEWEST_POINTS}",
         )
-    extent = np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T))
-    if extent[1] <= 1e-12 * extent[2]:
+    if _on_line(points[:_SAMPLE]) and _on_line(points):
         raise InputError("all points of the cloud lie on one line", advice="a surface needs points beside it")
 
 
+def _on_line(points: Float) -> bool:
+    extent = np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T))
+    return bool(extent[1] <= 1e-12 * extent[2])
+
+
 def _distinct(points: Float) -> int:
-    """How many of points (N, 3) differ; where the first thousand are enough for a surface, only of those."""
-    count = len(np.unique(points[:1000], axis=0))
+    """How many of points (N, 3) differ; where the first few are enough for a surface, only of those."""
+    count = len(np.unique(points[:_SAMPLE], axis=0))
     return count if count >= FEWEST_POINTS else len(np.unique(points, axis=0))
 
 
@@ -234,26 +246,26 @@ class _Local:
             around=np.empty((size, SECTORS), np.int32),
         )
 
-    def select(self, which: Mask) -> _Local:
+    def select(self, which: Int) -> _Local:
         return _Local(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def _local_planes(
-    points: Float, sensor: Float | None, cells: Codes, radius: float, neighbors: int, workers: int
+    points: Float, sensor: Float | None, cells: Codes, tree: PointTree, radius: float, neighbors: int, workers: int
 ) -> _Local:
     """Fit a plane to the neighbors of each point, wider and coarser where the nearest ones do not span one."""
-    size = len(points)
-    local = _Local.blank(size)
-    _fit_rows(points, sensor, np.arange(size), np.arange(size), radius, neighbors, workers, local)
+    local = _Local.blank(len(points))
+    _fit_rows(points, sensor, tree.number, tree, radius, neighbors, workers, local)
     for widening in range(_WIDENINGS):
         rows = np.flatnonzero(~local.spans & (local.count > _FEWEST_NEIGHBORS))
-        coarse = first_of_runs(cells >> np.uint64(3 * widening))
-        _fit_rows(points, sensor, rows, coarse, radius * 2 ** (widening + 1), neighbors, workers, local)
+        if len(rows):
+            coarse = point_tree(points, first_of_runs(cells >> np.uint64(3 * widening)), workers=workers)
+            _fit_rows(points, sensor, rows, coarse, radius * 2 ** (widening + 1), neighbors, workers, local)
     return local
 
 
 def _refit_narrow(
-    points: Float, sensor: Float | None, local: _Local, noise: float, radius: float, workers: int
+    points: Float, sensor: Float | None, tree: PointTree, local: _Local, noise: float, radius: float, workers: int
 ) -> None:
     """Where the neighbors of a point do not lie on one plane, take the plane of the nearest ones if these do.
 
@@ -263,35 +275,31 @@ def _refit_narrow(
     if not len(rows) or noise > _NOISY * radius:
         return
     narrow = _Local.blank(len(points))
-    _fit_rows(points, sensor, rows, np.arange(len(points)), radius, _NARROW_NEIGHBORS, workers, narrow)
-    better = narrow.spans & (narrow.deviation < _FLATTER * local.deviation)
+    _fit_rows(points, sensor, rows, tree, radius, _NARROW_NEIGHBORS, workers, narrow)
+    rows = rows[narrow.spans[rows] & (narrow.deviation[rows] < _FLATTER * local.deviation[rows])]
     for name in ("middles", "normals", "deviation"):
-        getattr(local, name)[better] = getattr(narrow, name)[better]
+        getattr(local, name)[rows] = getattr(narrow, name)[rows]
 
 
 def _fit_rows(
     points: Float,
     sensor: Float | None,
     rows: Int,
-    base: Int,
+    tree: PointTree,
     radius: float,
     neighbors: int,
     workers: int,
     local: _Local,
 ) -> None:
-    """Fit planes at points[rows] to their neighbors in points[base] and note them in local.
+    """Fit planes at points[rows] to their neighbors in the tree and note them in local.
 
-    Where base is only a part of the points, planes are noted only where the neighbors span one.
+    Where the tree holds only a part of the points, planes are noted only where the neighbors span one.
     """
-    everywhere = len(base) == len(points)
-    tree = cKDTree(points[base], balanced_tree=False)
-    # The tree gives len(base) where there is no neighbor.
-    number = np.append(base, len(points))
+    everywhere = len(tree.number) == len(points)
 
-    def fit(start: int) -> None:
-        chunk = rows[start : start + _CHUNK]
-        index = tree.query(points[chunk], k=np.arange(1, neighbors + 1), distance_upper_bound=radius)[1]
-        planes = fit_local_planes(points, chunk, number[index])
+    def fit(begin: int, end: int) -> None:
+        chunk = rows[begin:end]
+        planes = fit_local_planes(points, chunk, tree, neighbors, radius)
         normals = planes.normals if sensor is None else orient_to_sensor(points[chunk], planes.normals, sensor[chunk])
         spans = _spans_plane(points[chunk], normals, planes.spread, None if sensor is None else sensor[chunk])
         take = spans | everywhere
@@ -304,8 +312,7 @@ def _fit_rows(
         if everywhere:
             local.count[chunk] = planes.count
 
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(fit, range(0, len(rows), _CHUNK)))
+    in_chunks(fit, len(rows), workers)
 
 
 def _spans_plane(points: Float, normals: Float, spread: Float, sensor: Float | None) -> Mask:
@@ -317,12 +324,19 @@ def _spans_plane(points: Float, normals: Float, spread: Float, sensor: Float | N
     return good
 
 
-@numba.njit(cache=True, nogil=True)
-def _median_distances(points, normals, around):  # type: ignore[no-untyped-def]
+def _median_distances(points: Float, normals: Float, around: NDArray[np.int32], workers: int) -> Float:
     """Median distance (N,) of each point from the planes of its neighbors."""
-    result = np.zeros(len(points))
+    result = np.empty(len(points))
+    in_chunks(
+        lambda begin, end: _fill_median_distances(points, normals, around, begin, end, result), len(points), workers
+    )
+    return result
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_median_distances(points, normals, around, begin, end, result):  # type: ignore[no-untyped-def]
     distance = np.empty(around.shape[1])
-    for i in range(len(points)):
+    for i in range(begin, end):
         count = 0
         for j in around[i]:
             if j >= 0:
@@ -335,18 +349,24 @@ def _median_distances(points, normals, around):  # type: ignore[no-untyped-def]
                     place -= 1
                 distance[place] = abs(off)
                 count += 1
-        if count:
-            result[i] = 0.5 * (distance[(count - 1) // 2] + distance[count // 2])
-    return result
+        result[i] = 0.5 * (distance[(count - 1) // 2] + distance[count // 2]) if count else 0.0
 
 
-def _links_among(around: NDArray[np.int32], good: Mask) -> NDArray[np.int32]:
-    """Neighbors (M, 8) of the good points, numbered among them; the point itself for none or a point not good."""
-    number = np.full(len(good) + 1, -1, np.int32)
-    number[:-1][good] = np.arange(np.count_nonzero(good), dtype=np.int32)
-    links = number[around[good]]
-    own = np.arange(len(links), dtype=np.int32)[:, None]
-    return np.where(links < 0, own, links)
+def _links_among(around: NDArray[np.int32], good: Int, workers: int) -> NDArray[np.int32]:
+    """Neighbors (M, 8) of the good points (M,), numbered among them; the point itself for none or one not good."""
+    number = np.full(len(around), -1, np.int32)
+    number[good] = np.arange(len(good), dtype=np.int32)
+    links = np.empty((len(good), SECTORS), np.int32)
+    in_chunks(lambda begin, end: _fill_links(around, good, number, begin, end, links), len(good), workers)
+    return links
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_links(around, good, number, begin, end, links):  # type: ignore[no-untyped-def]
+    for i in range(begin, end):
+        for s in range(SECTORS):
+            j = around[good[i], s]
+            links[i, s] = number[j] if j >= 0 and number[j] >= 0 else i
 
 
 def _one_by_count(codes: Codes) -> Float:
