@@ -32,7 +32,7 @@ class PointTree(NamedTuple):
     The tree is complete: node 1 is the root, 2 i and 2 i + 1 are the parts of node i, and leaf k of L holds the places
     8 k to 8 k + 7. Leaves behind the last point have no place and a box that is nowhere.
 
-    boxes: (2 L, 6) m, low and high corner of each node. leaves: (K, 3, 8) m, x, y and z of the points of each leaf that
+    boxes: (2 L, 6) m, low and high corner of each node; row 0 is not used. leaves: (K, 3, 8) m, x, y and z of the points of each leaf that
     has any, infinite behind the last point. number: (M,) which point is at each place.
     """
 
@@ -50,7 +50,7 @@ def point_tree(points: Float, rows: Int | None = None, *, workers: int = 1) -> P
     sorted_points = points[number]
     filled = -(-len(number) // BLOCK)
     depth = (filled - 1).bit_length()
-    boxes = np.empty((2 << depth, 6))
+    boxes = np.zeros((2 << depth, 6))
     serial = min(depth, _SERIAL_LEVELS)
     _halve(sorted_points, number, boxes, 1, serial, depth)
     with ThreadPoolExecutor(workers) as pool:

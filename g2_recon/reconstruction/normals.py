@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -22,67 +22,96 @@ SECTORS = 8
 
 _JACOBI_SWEEPS = 8
 
+# Neighbors this many times longer than wide are a line. So is what lies in one plane with the sensor: that is the scan.
+_LINE = 8.0
+_EDGE_ON = np.cos(np.deg2rad(87.0))
+
 # A point takes over the plane of a neighbor that it fits this much better, so many times in turn.
 _BETTER = 0.5
 _SHARPENINGS = 3
 
 
-@dataclass(frozen=True, slots=True)
-class LocalPlanes:
-    """Planes through the neighbors of M points.
+class LocalPlanes(NamedTuple):
+    """Planes through the neighbors of N points; a tuple of arrays, so that kernels take it as it is.
 
-    middles: (M, 3) m, means of the neighbors. normals: (M, 3) unit, of arbitrary sign. spread: (M, 3) m, standard
-    deviation of the neighbors along the three principal axes, ascending. count: (M,) neighbors, the point itself among
-    them. around: (M, 8) the nearest neighbor in each eighth of the directions along the plane, -1 where there is none;
-    points at the same place are in no direction.
+    middles: (N, 3) m, means of the neighbors. normals: (N, 3) unit, towards the sensor, of arbitrary sign without one.
+    deviation: (N,) m, of the neighbors across the plane. spans: (N,) whether they determine it, and are not only a line
+    of one scan. found: (N,) how many they are, the point itself among them. around: (N, 8) the nearest neighbor in each
+    eighth of the directions along the plane, -1 where there is none; points at the same place are in no direction.
     """
 
     middles: Float
     normals: Float
-    spread: Float
-    count: NDArray[np.int64]
+    deviation: Float
+    spans: NDArray[np.bool_]
+    found: NDArray[np.int64]
     around: NDArray[np.int32]
+
+    @staticmethod
+    def blank(size: int) -> LocalPlanes:
+        """Of `size` points without any plane."""
+        return LocalPlanes(
+            middles=np.empty((size, 3)),
+            normals=np.empty((size, 3)),
+            deviation=np.empty(size),
+            spans=np.zeros(size, bool),
+            found=np.zeros(size, np.int64),
+            around=np.empty((size, SECTORS), np.int32),
+        )
+
+    def select(self, which: NDArray[np.int64]) -> LocalPlanes:
+        """Those of the points `which` (M,)."""
+        return LocalPlanes._make(column.take(which, axis=0) for column in self)
 
 
 def fit_local_planes(
-    points: Float, rows: NDArray[np.int64], tree: PointTree, neighbors: int, radius: float
-) -> LocalPlanes:
+    points: Float,
+    sensor: Float | None,
+    rows: NDArray[np.int64],
+    tree: PointTree,
+    *,
+    radius: float,
+    neighbors: int,
+    workers: int,
+    planes: LocalPlanes,
+) -> None:
     """Fit a plane to the nearest `neighbors` in the tree within `radius` (m) of each of the points `rows` (M,).
 
-    points: (N, 3) m. Rows that are near each other should follow each other. Runs without the global interpreter lock.
+    points, sensor: (N, 3) m. The planes (N) are filled in at the rows; where the tree does not hold all points, only at
+    those whose neighbors span one, and not `found`. Rows that are near each other should follow each other.
     """
-    middles, normals, spread = np.empty((3, len(rows), 3))
-    count = np.empty(len(rows), np.int64)
-    around = np.full((len(rows), SECTORS), -1, np.int32)
-    _fit_local_planes(points, rows, tree, neighbors, radius, middles, normals, spread, count, around)
-    return LocalPlanes(middles, normals, spread, count, around)
+    seen_from = np.empty((0, 3)) if sensor is None else sensor
+
+    def fit(begin: int, end: int) -> None:
+        _fit_local_planes(points, seen_from, rows[begin:end], tree, neighbors, radius, planes)
+
+    in_chunks(fit, len(rows), workers)
 
 
 @numba.njit(cache=True, nogil=True)
-def _fit_local_planes(  # type: ignore[no-untyped-def]
-    points, rows, tree, neighbors, radius, middles, normals, spread, count, around
-):
-    block, number = np.empty((BLOCK, 3)), np.empty(BLOCK, np.int64)
+def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  # type: ignore[no-untyped-def]
+    middles, normals, deviation, spans, neighbors_found, around = planes
+    everywhere = len(tree.number) == len(points)
+    block, found = np.empty((BLOCK, 3)), np.empty(BLOCK, np.int64)
     squared, places = np.empty((BLOCK, neighbors)), np.empty((BLOCK, neighbors), np.int64)
-    away, matrix, axes, square = np.empty((neighbors, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    away, matrix, axes = np.empty((neighbors, 3)), np.empty((3, 3)), np.empty((3, 3))
+    square, spread = np.empty(3), np.empty(3)
     begin = 0
     while begin < len(rows):
         size = _block_at(points, rows, begin, radius, block)
-        nearest_to_block(tree, block[:size], radius * radius, squared, places, number)
+        nearest_to_block(tree, block[:size], radius * radius, squared, places, found)
         for b in range(size):
-            row, x, y, z = begin + b, block[b, 0], block[b, 1], block[b, 2]
+            row, number, x, y, z = rows[begin + b], found[b], block[b, 0], block[b, 1], block[b, 2]
             # Sums are relative to the point itself so that large coordinates cost no precision.
             sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-            for n in range(number[b]):
+            for n in range(number):
                 leaf, i = places[b, n] // BLOCK, places[b, n] % BLOCK
                 dx, dy, dz = tree.leaves[leaf, 0, i] - x, tree.leaves[leaf, 1, i] - y, tree.leaves[leaf, 2, i] - z
                 away[n, 0], away[n, 1], away[n, 2] = dx, dy, dz
                 sx, sy, sz = sx + dx, sy + dy, sz + dz
                 xx, xy, xz = xx + dx * dx, xy + dx * dy, xz + dx * dz
                 yy, yz, zz = yy + dy * dy, yz + dy * dz, zz + dz * dz
-            count[row] = number[b]
-            share = 1.0 / max(number[b], 1)
-            middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
+            share = 1.0 / max(number, 1)
             matrix[0, 0] = xx - sx * sx * share
             matrix[1, 1] = yy - sy * sy * share
             matrix[2, 2] = zz - sz * sz * share
@@ -91,10 +120,26 @@ def _fit_local_planes(  # type: ignore[no-untyped-def]
             matrix[1, 2] = matrix[2, 1] = yz - sy * sz * share
             _principal_axes(matrix, axes, square)
             for a in range(3):
-                normals[row, a] = axes[a, 0]
                 # Three degrees of freedom of the noise went into the plane.
-                spread[row, a] = np.sqrt(max(square[a], 0.0) / max(number[b] - 3, 1))
-            for n in range(number[b]):
+                spread[a] = np.sqrt(max(square[a], 0.0) / max(number - 3, 1))
+            is_plane = spread[1] * _LINE > spread[2]
+            if len(sensor):
+                rx, ry, rz = sensor[row, 0] - x, sensor[row, 1] - y, sensor[row, 2] - z
+                height = axes[0, 0] * rx + axes[1, 0] * ry + axes[2, 0] * rz
+                if height < 0:
+                    for a in range(3):
+                        axes[a, 0] = -axes[a, 0]
+                is_plane &= abs(height) >= _EDGE_ON * np.sqrt(rx * rx + ry * ry + rz * rz)
+            if everywhere:
+                neighbors_found[row] = number
+            elif not is_plane:
+                continue
+            spans[row], deviation[row] = is_plane, spread[0]
+            middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
+            for a in range(3):
+                normals[row, a] = axes[a, 0]
+            around[row] = -1
+            for n in range(number):
                 dx, dy, dz = away[n, 0], away[n, 1], away[n, 2]
                 if dx == 0.0 and dy == 0.0 and dz == 0.0:
                     continue
@@ -176,7 +221,7 @@ def sharper_planes(
     point from it, taken together, are less than half. The result does not depend on `workers`.
     """
     variance = deviation**2
-    owner = np.arange(len(points))
+    owner: NDArray[np.int64] = np.arange(len(points))
     for _ in range(_SHARPENINGS):
         owner = _next_owner(points, middles, normals, variance, neighbors, owner, workers)
     return owner

@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import partial
 
 import numba
 import numpy as np
@@ -16,6 +17,7 @@ from g2_recon.geometry.point_tree import PointTree, point_tree
 from g2_recon.reconstruction.chunks import in_chunks
 from g2_recon.reconstruction.normals import (
     SECTORS,
+    LocalPlanes,
     fit_local_planes,
     orient_consistently,
     orient_to_sensor,
@@ -46,10 +48,6 @@ _SAMPLE = 1000
 
 # How often a search that found no plane is repeated over twice the distance.
 _WIDENINGS = 2
-
-# Neighbors this many times longer than wide are a line. So is what lies in one plane with the sensor: that is the scan.
-_LINE = 8.0
-_EDGE_ON = np.cos(np.deg2rad(87.0))
 
 # Neighbors that spread across their plane by more than this many times the noise do not lie on one; the plane of the
 # nearest few is taken instead where they spread by less than this part of that.
@@ -106,34 +104,36 @@ def prepare(
     more than 2**21 voxels of a third of the spacing.
     """
     index = _finite_rows(cloud)
-    points = cloud.points[index]
+    points = cloud.points.take(index, axis=0)
     _check_extent(points, len(cloud))
     voxel = spacing / _VOXELS_PER_SPACING
     origin = np.array([column.min() for column in points.T])
     cells, order = _spatial_order(points - origin, voxel)
     kept = index[order]
-    points = cloud.points[kept] - origin
-    sensor = None if cloud.sensor is None else cloud.sensor[kept] - origin
+    points = cloud.points.take(kept, axis=0) - origin
+    sensor = None if cloud.sensor is None else cloud.sensor.take(kept, axis=0) - origin
 
     tree = point_tree(points, workers=workers)
     local = _local_planes(points, sensor, cells, tree, radius, neighbors, workers)
     noise = float(np.median(local.deviation[local.spans])) if local.spans.any() else 0.0
     _refit_narrow(points, sensor, tree, local, noise, radius, workers)
-    isolated = local.count - 1 < _FEWEST_NEIGHBORS
+    isolated = local.found - 1 < _FEWEST_NEIGHBORS
     off = ~isolated & (
         _median_distances(points, local.normals, local.around, workers) > max(_OFF_PLANE_NOISE * noise, off_plane)
     )
     good = np.flatnonzero(~isolated & ~off)
-    if _distinct(points[good]) < FEWEST_POINTS:
+    if _distinct(points.take(good, axis=0)) < FEWEST_POINTS:
         raise InputError(
             f"only {len(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
             advice="choose a larger spacing; is the cloud in metres?",
         )
     links = _links_among(local.around, good, workers)
-    points, cells, kept, local = points[good], cells[good], kept[good], local.select(good)
+    points, cells, kept, local = points.take(good, axis=0), cells[good], kept[good], local.select(good)
     normals = local.normals if sensor is not None else orient_consistently(points, local.normals, links)
     plane = sharper_planes(points, local.middles, normals, local.deviation, links, workers)
-    normals = normals[plane] if sensor is None else orient_to_sensor(points, normals[plane], sensor[good])
+    normals = normals.take(plane, axis=0)
+    if sensor is not None:
+        normals = orient_to_sensor(points, normals, sensor.take(good, axis=0))
     deviation = local.deviation[plane][local.spans[plane]]
     rejected = {
         "not finite": len(cloud) - len(index),
@@ -219,53 +219,23 @@ def _morton_codes(points, voxel):  # type: ignore[no-untyped-def]
     return codes
 
 
-@dataclass(frozen=True, slots=True)
-class _Local:
-    """The surroundings of N points.
-
-    middles, normals: (N, 3) planes. deviation: (N,) m, of the neighbors across them. spans: (N,) whether the neighbors
-    determine the plane. count: (N,) how many are near. around: (N, 8) one neighbor a direction, -1 for none.
-    """
-
-    middles: Float
-    normals: Float
-    deviation: Float
-    spans: Mask
-    count: Int
-    around: NDArray[np.int32]
-
-    @staticmethod
-    def blank(size: int) -> _Local:
-        """Of `size` points without any plane."""
-        return _Local(
-            middles=np.empty((size, 3)),
-            normals=np.empty((size, 3)),
-            deviation=np.empty(size),
-            spans=np.zeros(size, bool),
-            count=np.zeros(size, np.int64),
-            around=np.empty((size, SECTORS), np.int32),
-        )
-
-    def select(self, which: Int) -> _Local:
-        return _Local(*(getattr(self, field.name)[which] for field in fields(self)))
-
-
 def _local_planes(
     points: Float, sensor: Float | None, cells: Codes, tree: PointTree, radius: float, neighbors: int, workers: int
-) -> _Local:
+) -> LocalPlanes:
     """Fit a plane to the neighbors of each point, wider and coarser where the nearest ones do not span one."""
-    local = _Local.blank(len(points))
-    _fit_rows(points, sensor, tree.number, tree, radius, neighbors, workers, local)
+    local = LocalPlanes.blank(len(points))
+    fit = partial(fit_local_planes, points, sensor, neighbors=neighbors, workers=workers, planes=local)
+    fit(tree.number, tree, radius=radius)
     for widening in range(_WIDENINGS):
-        rows = np.flatnonzero(~local.spans & (local.count > _FEWEST_NEIGHBORS))
+        rows = np.flatnonzero(~local.spans & (local.found > _FEWEST_NEIGHBORS))
         if len(rows):
             coarse = point_tree(points, first_of_runs(cells >> np.uint64(3 * widening)), workers=workers)
-            _fit_rows(points, sensor, rows, coarse, radius * 2 ** (widening + 1), neighbors, workers, local)
+            fit(rows, coarse, radius=radius * 2 ** (widening + 1))
     return local
 
 
 def _refit_narrow(
-    points: Float, sensor: Float | None, tree: PointTree, local: _Local, noise: float, radius: float, workers: int
+    points: Float, sensor: Float | None, tree: PointTree, local: LocalPlanes, noise: float, radius: float, workers: int
 ) -> None:
     """Where the neighbors of a point do not lie on one plane, take the plane of the nearest ones if these do.
 
@@ -274,54 +244,13 @@ def _refit_narrow(
     rows = np.flatnonzero(local.spans & (local.deviation > _ROUGH * noise))
     if not len(rows) or noise > _NOISY * radius:
         return
-    narrow = _Local.blank(len(points))
-    _fit_rows(points, sensor, rows, tree, radius, _NARROW_NEIGHBORS, workers, narrow)
+    narrow = LocalPlanes.blank(len(points))
+    fit_local_planes(
+        points, sensor, rows, tree, radius=radius, neighbors=_NARROW_NEIGHBORS, workers=workers, planes=narrow
+    )
     rows = rows[narrow.spans[rows] & (narrow.deviation[rows] < _FLATTER * local.deviation[rows])]
     for name in ("middles", "normals", "deviation"):
         getattr(local, name)[rows] = getattr(narrow, name)[rows]
-
-
-def _fit_rows(
-    points: Float,
-    sensor: Float | None,
-    rows: Int,
-    tree: PointTree,
-    radius: float,
-    neighbors: int,
-    workers: int,
-    local: _Local,
-) -> None:
-    """Fit planes at points[rows] to their neighbors in the tree and note them in local.
-
-    Where the tree holds only a part of the points, planes are noted only where the neighbors span one.
-    """
-    everywhere = len(tree.number) == len(points)
-
-    def fit(begin: int, end: int) -> None:
-        chunk = rows[begin:end]
-        planes = fit_local_planes(points, chunk, tree, neighbors, radius)
-        normals = planes.normals if sensor is None else orient_to_sensor(points[chunk], planes.normals, sensor[chunk])
-        spans = _spans_plane(points[chunk], normals, planes.spread, None if sensor is None else sensor[chunk])
-        take = spans | everywhere
-        into = chunk[take]
-        local.middles[into] = planes.middles[take]
-        local.normals[into] = normals[take]
-        local.deviation[into] = planes.spread[take, 0]
-        local.around[into] = planes.around[take]
-        local.spans[into] = spans[take]
-        if everywhere:
-            local.count[chunk] = planes.count
-
-    in_chunks(fit, len(rows), workers)
-
-
-def _spans_plane(points: Float, normals: Float, spread: Float, sensor: Float | None) -> Mask:
-    """Whether neighbors with such a spread determine a plane, and not only a line of one scan."""
-    good = spread[:, 1] * _LINE > spread[:, 2]
-    if sensor is not None:
-        ray = sensor - points
-        good &= np.einsum("ij,ij->i", normals, ray) >= _EDGE_ON * np.linalg.norm(ray, axis=1)
-    return good
 
 
 def _median_distances(points: Float, normals: Float, around: NDArray[np.int32], workers: int) -> Float:
