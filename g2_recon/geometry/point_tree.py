@@ -32,8 +32,8 @@ class PointTree(NamedTuple):
     The tree is complete: node 1 is the root, 2 i and 2 i + 1 are the parts of node i, and leaf k of L holds the places
     8 k to 8 k + 7. Leaves behind the last point have no place and a box that is nowhere.
 
-    boxes: (2 L, 6) m, low and high corner of each node; row 0 is not used. leaves: (K, 3, 8) m, x, y and z of the points of each leaf that
-    has any, infinite behind the last point. number: (M,) which point is at each place.
+    boxes: (2 L, 6) m, low and high corner of each node, row 0 not used. leaves: (K, 3, 8) m, x, y and z of the points
+    of each leaf that has any, infinite behind the last point. number: (M,) which point is at each place.
     """
 
     boxes: Float
@@ -137,14 +137,14 @@ def nearest_to_block(tree, block, beyond, squared, places, found):  # type: igno
     one with the lowest number comes first; where k or more are at distance 0, any of these are taken, always the same.
     """
     boxes, leaves, number = tree
-    leaf_count, most = len(boxes) // 2, squared.shape[1]
+    leaf_count, k = len(boxes) // 2, squared.shape[1]
     low_x = low_y = low_z = np.inf
     high_x = high_y = high_z = -np.inf
     for q in range(len(block)):
         x, y, z = block[q, 0], block[q, 1], block[q, 2]
         low_x, low_y, low_z = min(low_x, x), min(low_y, y), min(low_z, z)
         high_x, high_y, high_z = max(high_x, x), max(high_y, y), max(high_z, z)
-        found[q], squared[q, most - 1] = 0, beyond
+        found[q], squared[q, k - 1] = 0, beyond
     mid_x, mid_y, mid_z = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y), 0.5 * (low_z + high_z)
     # The last distance of each place is its limit until it has k; the farthest of these is that of the block.
     farthest = beyond
@@ -174,7 +174,7 @@ def nearest_to_block(tree, block, beyond, squared, places, found):  # type: igno
             leaf = node - leaf_count
             for q in range(len(block)):
                 x, y, z = block[q, 0], block[q, 1], block[q, 2]
-                limit = squared[q, most - 1]
+                limit, count = squared[q, k - 1], found[q]
                 if _gap(boxes, node, x, y, z, x, y, z) > limit:
                     continue
                 for i in range(BLOCK):
@@ -182,25 +182,25 @@ def nearest_to_block(tree, block, beyond, squared, places, found):  # type: igno
                     distance[i] = dx * dx + dy * dy + dz * dz
                 # Written out here: calls would count references to their arrays, for each of the points.
                 for i in range(BLOCK):
-                    if distance[i] > limit:
+                    new, place = distance[i], leaf * BLOCK + i
+                    if new > limit or (new == limit and (count < k or number[places[q, k - 1]] < number[place])):
                         continue
-                    place = leaf * BLOCK + i
-                    if distance[i] == limit and (found[q] < most or number[places[q, most - 1]] < number[place]):
-                        continue
-                    at = min(found[q], most - 1)
-                    while at > 0 and squared[q, at - 1] >= distance[i]:
-                        if squared[q, at - 1] == distance[i] and number[places[q, at - 1]] < number[place]:
+                    at = min(count, k - 1)
+                    while at > 0:
+                        old = squared[q, at - 1]
+                        if old < new or (old == new and number[places[q, at - 1]] < number[place]):
                             break
-                        squared[q, at], places[q, at] = squared[q, at - 1], places[q, at - 1]
+                        squared[q, at], places[q, at] = old, places[q, at - 1]
                         at -= 1
-                    squared[q, at], places[q, at] = distance[i], place
-                    found[q] = min(found[q] + 1, most)
-                    if found[q] < most:
-                        squared[q, most - 1] = beyond
-                    limit = squared[q, most - 1]
+                    squared[q, at], places[q, at] = new, place
+                    count = min(count + 1, k)
+                    if count < k:
+                        squared[q, k - 1] = beyond
+                    limit = squared[q, k - 1]
+                found[q] = count
             farthest = 0.0
             for q in range(len(block)):
-                farthest = max(farthest, squared[q, most - 1])
+                farthest = max(farthest, squared[q, k - 1])
             if farthest == 0.0:
                 return
 

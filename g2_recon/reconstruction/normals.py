@@ -155,9 +155,10 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  #
 def _block_at(points, rows, begin, radius, block):  # type: ignore[no-untyped-def]
     """Copy points from points[rows[begin]] on into the block, those within the radius of it along each axis."""
     size = 0
-    for row in rows[begin : begin + BLOCK]:
+    # A block that has begun in a leaf of the tree ends there, if the rows are in the order of the tree.
+    for i in range(begin, min(begin + BLOCK - begin % BLOCK, len(rows))):
         for a in range(3):
-            block[size, a] = points[row, a]
+            block[size, a] = points[rows[i], a]
             # Places far from each other are slower to search for together than each on its own.
             if abs(block[size, a] - block[0, a]) > radius:
                 return size
