@@ -168,42 +168,56 @@ def _block_at(points, rows, begin, radius, block):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True, nogil=True)
 def _principal_axes(matrix, axes, square):  # type: ignore[no-untyped-def]
-    """Eigenvectors (columns of axes) and ascending eigenvalues of a symmetric matrix, which is used up.
+    """Eigenvectors (columns of axes) and ascending eigenvalues of a symmetric matrix.
 
     Cyclic Jacobi rotations (Golub & Van Loan, Matrix Computations, section 8.5): exact for degenerate matrices too.
     """
     axes[:] = 0.0
     for a in range(3):
         axes[a, a] = 1.0
-    size = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+    # Six numbers stay in registers, where an array of nine would not.
+    xx, xy, xz, yy, yz, zz = matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
+    size = xx + yy + zz
     for _ in range(_JACOBI_SWEEPS):
-        if abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2]) <= 1e-14 * size:
+        if abs(xy) + abs(xz) + abs(yz) <= 1e-14 * size:
             break
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            if matrix[p, q] == 0.0:
-                continue
-            theta = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
-            tangent = (1.0 if theta >= 0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
-            cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
-            sine = tangent * cosine
-            r = 3 - p - q
-            matrix[p, p] -= tangent * matrix[p, q]
-            matrix[q, q] += tangent * matrix[p, q]
-            matrix[p, q] = matrix[q, p] = 0.0
-            rp, rq = matrix[r, p], matrix[r, q]
-            matrix[r, p] = matrix[p, r] = cosine * rp - sine * rq
-            matrix[r, q] = matrix[q, r] = sine * rp + cosine * rq
-            for a in range(3):
-                ap, aq = axes[a, p], axes[a, q]
-                axes[a, p] = cosine * ap - sine * aq
-                axes[a, q] = sine * ap + cosine * aq
-    for a in range(3):
-        square[a] = matrix[a, a]
+        tangent, cosine, sine = _rotation(xx, yy, xy)
+        xx, yy, xy = xx - tangent * xy, yy + tangent * xy, 0.0
+        xz, yz = cosine * xz - sine * yz, sine * xz + cosine * yz
+        _rotate(axes, 0, 1, cosine, sine)
+        tangent, cosine, sine = _rotation(xx, zz, xz)
+        xx, zz, xz = xx - tangent * xz, zz + tangent * xz, 0.0
+        xy, yz = cosine * xy - sine * yz, sine * xy + cosine * yz
+        _rotate(axes, 0, 2, cosine, sine)
+        tangent, cosine, sine = _rotation(yy, zz, yz)
+        yy, zz, yz = yy - tangent * yz, zz + tangent * yz, 0.0
+        xy, xz = cosine * xy - sine * xz, sine * xy + cosine * xz
+        _rotate(axes, 1, 2, cosine, sine)
+    square[0], square[1], square[2] = xx, yy, zz
     for a, b in ((0, 1), (1, 2), (0, 1)):
         if square[b] < square[a]:
             square[a], square[b] = square[b], square[a]
             for c in range(3):
                 axes[c, a], axes[c, b] = axes[c, b], axes[c, a]
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _rotation(first, second, product):  # type: ignore[no-untyped-def]
+    """Tangent, cosine and sine of the rotation that takes the product of two axes away."""
+    if product == 0.0:
+        return 0.0, 1.0, 0.0
+    theta = (second - first) / (2.0 * product)
+    tangent = (1.0 if theta >= 0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+    return tangent, cosine, tangent * cosine
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _rotate(axes, p, q, cosine, sine):  # type: ignore[no-untyped-def]
+    for a in range(3):
+        first, second = axes[a, p], axes[a, q]
+        axes[a, p] = cosine * first - sine * second
+        axes[a, q] = sine * first + cosine * second
 
 
 def sharper_planes(
