@@ -4,13 +4,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+
+from g2_recon.geometry.point_tree import BLOCK, PointTree, nearest_to_block
+from g2_recon.reconstruction.chunks import in_chunks
 
 Float = NDArray[np.float64]
 
@@ -19,115 +22,178 @@ SECTORS = 8
 
 _JACOBI_SWEEPS = 8
 
+# Neighbors this many times longer than wide are a line. So is what lies in one plane with the sensor: that is the scan.
+_LINE = 8.0
+_EDGE_ON = np.cos(np.deg2rad(87.0))
+
 # A point takes over the plane of a neighbor that it fits this much better, so many times in turn.
 _BETTER = 0.5
 _SHARPENINGS = 3
 
 
-@dataclass(frozen=True, slots=True)
-class LocalPlanes:
-    """Planes through the neighbors of M points.
+class LocalPlanes(NamedTuple):
+    """Planes through the neighbors of N points; a tuple of arrays, so that kernels take it as it is.
 
-    middles: (M, 3) m, means of the neighbors. normals: (M, 3) unit, of arbitrary sign. spread: (M, 3) m, standard
-    deviation of the neighbors along the three principal axes, ascending. count: (M,) neighbors, the point itself among
-    them. around: (M, 8) the nearest neighbor in each eighth of the directions along the plane, -1 where there is none;
-    points at the same place are in no direction.
+    middles: (N, 3) m, means of the neighbors. normals: (N, 3) unit, towards the sensor, of arbitrary sign without one.
+    deviation: (N,) m, of the neighbors across the plane. spans: (N,) whether they determine it, and are not only a line
+    of one scan. found: (N,) how many they are, the point itself among them. around: (N, 8) the nearest neighbor in each
+    eighth of the directions along the plane, -1 where there is none; points at the same place are in no direction.
     """
 
     middles: Float
     normals: Float
-    spread: Float
-    count: NDArray[np.int64]
+    deviation: Float
+    spans: NDArray[np.bool_]
+    found: NDArray[np.int64]
     around: NDArray[np.int32]
 
+    @staticmethod
+    def blank(size: int) -> LocalPlanes:
+        """Of `size` points without any plane."""
+        return LocalPlanes(
+            middles=np.empty((size, 3)),
+            normals=np.empty((size, 3)),
+            deviation=np.empty(size),
+            spans=np.zeros(size, bool),
+            found=np.zeros(size, np.int64),
+            around=np.empty((size, SECTORS), np.int32),
+        )
 
-def fit_local_planes(points: Float, rows: NDArray[np.int64], index: NDArray[np.int64]) -> LocalPlanes:
-    """Fit a plane to the neighbors `index` (M, k) of each of the points `rows` (M,).
+    def select(self, which: NDArray[np.int64]) -> LocalPlanes:
+        """Those of the points `which` (M,)."""
+        return LocalPlanes._make(column.take(which, axis=0) for column in self)
 
-    points: (N, 3). Neighbors are in order of distance; N stands for none, as from a tree of SciPy. Runs without the
-    global interpreter lock.
+
+def fit_local_planes(
+    points: Float,
+    sensor: Float | None,
+    rows: NDArray[np.int64],
+    tree: PointTree,
+    *,
+    radius: float,
+    neighbors: int,
+    workers: int,
+    planes: LocalPlanes,
+) -> None:
+    """Fit a plane to the nearest `neighbors` in the tree within `radius` (m) of each of the points `rows` (M,).
+
+    points, sensor: (N, 3) m. The planes (N) are filled in at the rows; where the tree does not hold all points, only at
+    those whose neighbors span one, and not `found`. Rows that are near each other should follow each other.
     """
-    middles, normals, spread = np.empty((3, len(rows), 3))
-    count = np.empty(len(rows), np.int64)
-    around = np.full((len(rows), SECTORS), -1, np.int32)
-    _fit_local_planes(points, rows, index, middles, normals, spread, count, around)
-    return LocalPlanes(middles, normals, spread, count, around)
+    seen_from = np.empty((0, 3)) if sensor is None else sensor
+
+    def fit(begin: int, end: int) -> None:
+        _fit_local_planes(points, seen_from, rows[begin:end], tree, neighbors, radius, planes)
+
+    in_chunks(fit, len(rows), workers)
 
 
 @numba.njit(cache=True, nogil=True)
-def _fit_local_planes(points, rows, index, middles, normals, spread, count, around):  # type: ignore[no-untyped-def]
-    matrix, axes, square = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    for row in range(len(rows)):
-        x, y, z = points[rows[row]]
-        # Sums are relative to the point itself so that large coordinates cost no precision.
-        sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-        number = 0
-        for j in index[row]:
-            if j < len(points):
-                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  # type: ignore[no-untyped-def]
+    middles, normals, deviation, spans, neighbors_found, around = planes
+    everywhere = len(tree.number) == len(points)
+    block, found = np.empty((BLOCK, 3)), np.empty(BLOCK, np.int64)
+    squared, places = np.empty((BLOCK, neighbors)), np.empty((BLOCK, neighbors), np.int64)
+    away, matrix, axes = np.empty((neighbors, 3)), np.empty((3, 3)), np.empty((3, 3))
+    square, spread = np.empty(3), np.empty(3)
+    begin = 0
+    while begin < len(rows):
+        size = _block_at(points, rows, begin, radius, block)
+        nearest_to_block(tree, block[:size], radius * radius, squared, places, found)
+        for b in range(size):
+            row, number, x, y, z = rows[begin + b], found[b], block[b, 0], block[b, 1], block[b, 2]
+            # Sums are relative to the point itself so that large coordinates cost no precision.
+            sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+            for n in range(number):
+                leaf, i = places[b, n] // BLOCK, places[b, n] % BLOCK
+                dx, dy, dz = tree.leaves[leaf, 0, i] - x, tree.leaves[leaf, 1, i] - y, tree.leaves[leaf, 2, i] - z
+                away[n, 0], away[n, 1], away[n, 2] = dx, dy, dz
                 sx, sy, sz = sx + dx, sy + dy, sz + dz
                 xx, xy, xz = xx + dx * dx, xy + dx * dy, xz + dx * dz
                 yy, yz, zz = yy + dy * dy, yz + dy * dz, zz + dz * dz
-                number += 1
-        count[row] = number
-        share = 1.0 / max(number, 1)
-        middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
-        matrix[0, 0] = xx - sx * sx * share
-        matrix[1, 1] = yy - sy * sy * share
-        matrix[2, 2] = zz - sz * sz * share
-        matrix[0, 1] = matrix[1, 0] = xy - sx * sy * share
-        matrix[0, 2] = matrix[2, 0] = xz - sx * sz * share
-        matrix[1, 2] = matrix[2, 1] = yz - sy * sz * share
-        _principal_axes(matrix, axes, square)
-        for a in range(3):
-            normals[row, a] = axes[a, 0]
-            # Three degrees of freedom of the noise went into the plane.
-            spread[row, a] = np.sqrt(max(square[a], 0.0) / max(number - 3, 1))
-        for j in index[row]:
-            if j < len(points):
-                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            share = 1.0 / max(number, 1)
+            matrix[0, 0] = xx - sx * sx * share
+            matrix[1, 1] = yy - sy * sy * share
+            matrix[2, 2] = zz - sz * sz * share
+            matrix[0, 1] = matrix[1, 0] = xy - sx * sy * share
+            matrix[0, 2] = matrix[2, 0] = xz - sx * sz * share
+            matrix[1, 2] = matrix[2, 1] = yz - sy * sz * share
+            _principal_axes(matrix, axes, square)
+            for a in range(3):
+                # Three degrees of freedom of the noise went into the plane.
+                spread[a] = np.sqrt(max(square[a], 0.0) / max(number - 3, 1))
+            is_plane = spread[1] * _LINE > spread[2]
+            if len(sensor):
+                rx, ry, rz = sensor[row, 0] - x, sensor[row, 1] - y, sensor[row, 2] - z
+                height = axes[0, 0] * rx + axes[1, 0] * ry + axes[2, 0] * rz
+                if height < 0:
+                    for a in range(3):
+                        axes[a, 0] = -axes[a, 0]
+                is_plane &= abs(height) >= _EDGE_ON * np.sqrt(rx * rx + ry * ry + rz * rz)
+            if everywhere:
+                neighbors_found[row] = number
+            elif not is_plane:
+                continue
+            spans[row], deviation[row] = is_plane, spread[0]
+            middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
+            for a in range(3):
+                normals[row, a] = axes[a, 0]
+            around[row] = -1
+            for n in range(number):
+                dx, dy, dz = away[n, 0], away[n, 1], away[n, 2]
                 if dx == 0.0 and dy == 0.0 and dz == 0.0:
                     continue
                 u = dx * axes[0, 2] + dy * axes[1, 2] + dz * axes[2, 2]
                 v = dx * axes[0, 1] + dy * axes[1, 1] + dz * axes[2, 1]
                 sector = (4 if v < 0 else 0) + (2 if u < 0 else 0) + (1 if abs(v) > abs(u) else 0)
                 if around[row, sector] < 0:
-                    around[row, sector] = j
+                    around[row, sector] = tree.number[places[b, n]]
+        begin += size
+
+
+@numba.njit(cache=True, nogil=True)
+def _block_at(points, rows, begin, radius, block):  # type: ignore[no-untyped-def]
+    """Copy points from points[rows[begin]] on into the block, those within the radius of it along each axis."""
+    size = 0
+    # A block that has begun in a leaf of the tree ends there, if the rows are in the order of the tree.
+    for i in range(begin, min(begin + BLOCK - begin % BLOCK, len(rows))):
+        for a in range(3):
+            block[size, a] = points[rows[i], a]
+            # Places far from each other are slower to search for together than each on its own.
+            if abs(block[size, a] - block[0, a]) > radius:
+                return size
+        size += 1
+    return size
 
 
 @numba.njit(cache=True, nogil=True)
 def _principal_axes(matrix, axes, square):  # type: ignore[no-untyped-def]
-    """Eigenvectors (columns of axes) and ascending eigenvalues of a symmetric matrix, which is used up.
+    """Eigenvectors (columns of axes) and ascending eigenvalues of a symmetric matrix.
 
     Cyclic Jacobi rotations (Golub & Van Loan, Matrix Computations, section 8.5): exact for degenerate matrices too.
     """
     axes[:] = 0.0
     for a in range(3):
         axes[a, a] = 1.0
-    size = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+    # Six numbers stay in registers, where an array of nine would not.
+    xx, xy, xz, yy, yz, zz = matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
+    size = xx + yy + zz
     for _ in range(_JACOBI_SWEEPS):
-        if abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2]) <= 1e-14 * size:
+        if abs(xy) + abs(xz) + abs(yz) <= 1e-14 * size:
             break
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            if matrix[p, q] == 0.0:
-                continue
-            theta = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
-            tangent = (1.0 if theta >= 0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
-            cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
-            sine = tangent * cosine
-            r = 3 - p - q
-            matrix[p, p] -= tangent * matrix[p, q]
-            matrix[q, q] += tangent * matrix[p, q]
-            matrix[p, q] = matrix[q, p] = 0.0
-            rp, rq = matrix[r, p], matrix[r, q]
-            matrix[r, p] = matrix[p, r] = cosine * rp - sine * rq
-            matrix[r, q] = matrix[q, r] = sine * rp + cosine * rq
-            for a in range(3):
-                ap, aq = axes[a, p], axes[a, q]
-                axes[a, p] = cosine * ap - sine * aq
-                axes[a, q] = sine * ap + cosine * aq
-    for a in range(3):
-        square[a] = matrix[a, a]
+        tangent, cosine, sine = _rotation(xx, yy, xy)
+        xx, yy, xy = xx - tangent * xy, yy + tangent * xy, 0.0
+        xz, yz = cosine * xz - sine * yz, sine * xz + cosine * yz
+        _rotate(axes, 0, 1, cosine, sine)
+        tangent, cosine, sine = _rotation(xx, zz, xz)
+        xx, zz, xz = xx - tangent * xz, zz + tangent * xz, 0.0
+        xy, yz = cosine * xy - sine * yz, sine * xy + cosine * yz
+        _rotate(axes, 0, 2, cosine, sine)
+        tangent, cosine, sine = _rotation(yy, zz, yz)
+        yy, zz, yz = yy - tangent * yz, zz + tangent * yz, 0.0
+        xy, xz = cosine * xy - sine * xz, sine * xy + cosine * xz
+        _rotate(axes, 1, 2, cosine, sine)
+    square[0], square[1], square[2] = xx, yy, zz
     for a, b in ((0, 1), (1, 2), (0, 1)):
         if square[b] < square[a]:
             square[a], square[b] = square[b], square[a]
@@ -135,40 +201,87 @@ def _principal_axes(matrix, axes, square):  # type: ignore[no-untyped-def]
                 axes[c, a], axes[c, b] = axes[c, b], axes[c, a]
 
 
+@numba.njit(cache=True, nogil=True, inline="always")
+def _rotation(first, second, product):  # type: ignore[no-untyped-def]
+    """Tangent, cosine and sine of the rotation that takes the product of two axes away."""
+    if product == 0.0:
+        return 0.0, 1.0, 0.0
+    theta = (second - first) / (2.0 * product)
+    tangent = (1.0 if theta >= 0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+    return tangent, cosine, tangent * cosine
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _rotate(axes, p, q, cosine, sine):  # type: ignore[no-untyped-def]
+    for a in range(3):
+        first, second = axes[a, p], axes[a, q]
+        axes[a, p] = cosine * first - sine * second
+        axes[a, q] = sine * first + cosine * second
+
+
 def sharper_planes(
-    points: Float, middles: Float, normals: Float, deviation: Float, neighbors: NDArray[np.int32]
+    points: Float,
+    middles: Float,
+    normals: Float,
+    deviation: Float,
+    neighbors: NDArray[np.int32],
+    workers: int = 1,
 ) -> NDArray[np.int64]:
     """For each point the one (N,) among those around it whose plane it lies on better than on its own, or itself.
 
     The neighbors of a point at a crease are on both of its sides and their plane is on neither; those of a point
     farther from the crease are on one. middles, normals: (N, 3) planes. deviation: (N,) m, of the neighbors across
     them. neighbors: (N, m), the point itself for none. A plane is better where its deviation and the distance of the
-    point from it, taken together, are less than half.
+    point from it, taken together, are less than half. The result does not depend on `workers`.
     """
-    owner = np.arange(len(points))
+    variance = deviation**2
+    owner: NDArray[np.int64] = np.arange(len(points))
     for _ in range(_SHARPENINGS):
-        owner = _sharper_planes(points, middles, normals, deviation**2, neighbors, owner)
+        owner = _next_owner(points, middles, normals, variance, neighbors, owner, workers)
     return owner
 
 
-@numba.njit(cache=True, nogil=True)
-def _sharper_planes(points, middles, normals, variance, neighbors, owner):  # type: ignore[no-untyped-def]
-    result = owner.copy()
-    for i in range(len(points)):
-        least = _BETTER**2 * _misfit(points[i], middles, normals, variance, owner[i])
-        for j in neighbors[i]:
-            misfit = _misfit(points[i], middles, normals, variance, owner[j])
-            if misfit < least:
-                least = misfit
-                result[i] = owner[j]
+def _next_owner(
+    points: Float,
+    middles: Float,
+    normals: Float,
+    variance: Float,
+    neighbors: NDArray[np.int32],
+    owner: NDArray[np.int64],
+    workers: int,
+) -> NDArray[np.int64]:
+    result = np.empty_like(owner)
+
+    def fill(begin: int, end: int) -> None:
+        _fill_next_owner(points, middles, normals, variance, neighbors, owner, begin, end, result)
+
+    in_chunks(fill, len(points), workers)
     return result
 
 
+@numba.njit(cache=True, nogil=True)
+def _fill_next_owner(  # type: ignore[no-untyped-def]
+    points, middles, normals, variance, neighbors, owner, begin, end, result
+):
+    for i in range(begin, end):
+        result[i] = owner[i]
+        least = _BETTER**2 * _misfit(points, i, middles, normals, variance, owner[i])
+        for s in range(neighbors.shape[1]):
+            j = owner[neighbors[i, s]]
+            # Most planes are not even flat enough.
+            if variance[j] < least:
+                misfit = _misfit(points, i, middles, normals, variance, j)
+                if misfit < least:
+                    least = misfit
+                    result[i] = j
+
+
 @numba.njit(cache=True, nogil=True, inline="always")
-def _misfit(point, middles, normals, variance, plane):  # type: ignore[no-untyped-def]
+def _misfit(points, point, middles, normals, variance, plane):  # type: ignore[no-untyped-def]
     height = 0.0
     for a in range(3):
-        height += (point[a] - middles[plane, a]) * normals[plane, a]
+        height += (points[point, a] - middles[plane, a]) * normals[plane, a]
     return variance[plane] + height * height
 
 

@@ -4,18 +4,20 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import partial
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.point_tree import PointTree, point_tree
+from g2_recon.reconstruction.chunks import in_chunks
 from g2_recon.reconstruction.normals import (
     SECTORS,
+    LocalPlanes,
     fit_local_planes,
     orient_consistently,
     orient_to_sensor,
@@ -41,12 +43,11 @@ _VOXELS_PER_SPACING = 3
 # Morton codes hold 21 bits an axis.
 _MOST_VOXELS = 1 << 21
 
+# Where so many points show that there is a surface, no more are looked at.
+_SAMPLE = 1000
+
 # How often a search that found no plane is repeated over twice the distance.
 _WIDENINGS = 2
-
-# Neighbors this many times longer than wide are a line. So is what lies in one plane with the sensor: that is the scan.
-_LINE = 8.0
-_EDGE_ON = np.cos(np.deg2rad(87.0))
 
 # Neighbors that spread across their plane by more than this many times the noise do not lie on one; the plane of the
 # nearest few is taken instead where they spread by less than this part of that.
@@ -54,9 +55,6 @@ _ROUGH = 1.6
 _NARROW_NEIGHBORS = 10
 _NOISY = 0.06
 _FLATTER = 0.6
-
-# Points a task: many tasks a worker, each large enough that its start costs nothing. Results do not depend on it.
-_CHUNK = 8192
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,35 +103,37 @@ def prepare(
     Raises InputError where fewer than ten distinct points remain, where all lie on one line, or where they spread over
     more than 2**21 voxels of a third of the spacing.
     """
-    index = np.flatnonzero(np.isfinite(cloud.points).all(axis=1))
-    if cloud.sensor is not None:
-        index = index[np.isfinite(cloud.sensor[index]).all(axis=1)]
-    _check_extent(cloud.points[index], len(cloud))
+    index = _finite_rows(cloud)
+    points = cloud.points.take(index, axis=0)
+    _check_extent(points, len(cloud))
     voxel = spacing / _VOXELS_PER_SPACING
-    origin = cloud.points[index].min(axis=0)
-    cells, order = _spatial_order(cloud.points[index] - origin, voxel)
+    origin = np.array([column.min() for column in points.T])
+    cells, order = _spatial_order(points - origin, voxel)
     kept = index[order]
-    points = cloud.points[kept] - origin
-    sensor = None if cloud.sensor is None else cloud.sensor[kept] - origin
+    points = cloud.points.take(kept, axis=0) - origin
+    sensor = None if cloud.sensor is None else cloud.sensor.take(kept, axis=0) - origin
 
-    local = _local_planes(points, sensor, cells, radius, neighbors, workers)
+    tree = point_tree(points, workers=workers)
+    local = _local_planes(points, sensor, cells, tree, radius, neighbors, workers)
     noise = float(np.median(local.deviation[local.spans])) if local.spans.any() else 0.0
-    _refit_narrow(points, sensor, local, noise, radius, workers)
-    isolated = local.count - 1 < _FEWEST_NEIGHBORS
+    _refit_narrow(points, sensor, tree, local, noise, radius, workers)
+    isolated = local.found - 1 < _FEWEST_NEIGHBORS
     off = ~isolated & (
-        _median_distances(points, local.normals, local.around) > max(_OFF_PLANE_NOISE * noise, off_plane)
+        _median_distances(points, local.normals, local.around, workers) > max(_OFF_PLANE_NOISE * noise, off_plane)
     )
-    good = ~isolated & ~off
-    if _distinct(points[good]) < FEWEST_POINTS:
+    good = np.flatnonzero(~isolated & ~off)
+    if _distinct(points.take(good, axis=0)) < FEWEST_POINTS:
         raise InputError(
-            f"only {np.count_nonzero(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
+            f"only {len(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
             advice="choose a larger spacing; is the cloud in metres?",
         )
-    links = _links_among(local.around, good)
-    points, cells, kept, local = points[good], cells[good], kept[good], local.select(good)
+    links = _links_among(local.around, good, workers)
+    points, cells, kept, local = points.take(good, axis=0), cells[good], kept[good], local.select(good)
     normals = local.normals if sensor is not None else orient_consistently(points, local.normals, links)
-    plane = sharper_planes(points, local.middles, normals, local.deviation, links)
-    normals = normals[plane] if sensor is None else orient_to_sensor(points, normals[plane], sensor[good])
+    plane = sharper_planes(points, local.middles, normals, local.deviation, links, workers)
+    normals = normals.take(plane, axis=0)
+    if sensor is not None:
+        normals = orient_to_sensor(points, normals, sensor.take(good, axis=0))
     deviation = local.deviation[plane][local.spans[plane]]
     rejected = {
         "not finite": len(cloud) - len(index),
@@ -158,6 +158,14 @@ def first_of_runs(codes: Codes) -> Int:
     return np.flatnonzero(np.concatenate([[True], codes[1:] != codes[:-1]]))
 
 
+def _finite_rows(cloud: Cloud) -> Int:
+    finite = np.isfinite(cloud.points)
+    if cloud.sensor is not None:
+        finite &= np.isfinite(cloud.sensor)
+    # Several times faster than all(axis=1).
+    return np.flatnonzero(finite[:, 0] & finite[:, 1] & finite[:, 2])
+
+
 def _check_extent(points: Float, total: int) -> None:
     distinct = _distinct(points)
     if distinct < FEWEST_POINTS:
@@ -165,14 +173,18 @@ def _check_extent(points: Float, total: int) -> None:
             f"the cloud has {distinct} distinct usable points of {total}",
             advice=f"a surface needs at least {FEWEST_POINTS}",
         )
-    extent = np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T))
-    if extent[1] <= 1e-12 * extent[2]:
+    if _on_line(points[:_SAMPLE]) and _on_line(points):
         raise InputError("all points of the cloud lie on one line", advice="a surface needs points beside it")
 
 
+def _on_line(points: Float) -> bool:
+    extent = np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T))
+    return bool(extent[1] <= 1e-12 * extent[2])
+
+
 def _distinct(points: Float) -> int:
-    """How many of points (N, 3) differ; where the first thousand are enough for a surface, only of those."""
-    count = len(np.unique(points[:1000], axis=0))
+    """How many of points (N, 3) differ; where the first few are enough for a surface, only of those."""
+    count = len(np.unique(points[:_SAMPLE], axis=0))
     return count if count >= FEWEST_POINTS else len(np.unique(points, axis=0))
 
 
@@ -209,53 +221,23 @@ def _morton_codes(points, voxel):  # type: ignore[no-untyped-def]
     return codes
 
 
-@dataclass(frozen=True, slots=True)
-class _Local:
-    """The surroundings of N points.
-
-    middles, normals: (N, 3) planes. deviation: (N,) m, of the neighbors across them. spans: (N,) whether the neighbors
-    determine the plane. count: (N,) how many are near. around: (N, 8) one neighbor a direction, -1 for none.
-    """
-
-    middles: Float
-    normals: Float
-    deviation: Float
-    spans: Mask
-    count: Int
-    around: NDArray[np.int32]
-
-    @staticmethod
-    def blank(size: int) -> _Local:
-        """Of `size` points without any plane."""
-        return _Local(
-            middles=np.empty((size, 3)),
-            normals=np.empty((size, 3)),
-            deviation=np.empty(size),
-            spans=np.zeros(size, bool),
-            count=np.zeros(size, np.int64),
-            around=np.empty((size, SECTORS), np.int32),
-        )
-
-    def select(self, which: Mask) -> _Local:
-        return _Local(*(getattr(self, field.name)[which] for field in fields(self)))
-
-
 def _local_planes(
-    points: Float, sensor: Float | None, cells: Codes, radius: float, neighbors: int, workers: int
-) -> _Local:
+    points: Float, sensor: Float | None, cells: Codes, tree: PointTree, radius: float, neighbors: int, workers: int
+) -> LocalPlanes:
     """Fit a plane to the neighbors of each point, wider and coarser where the nearest ones do not span one."""
-    size = len(points)
-    local = _Local.blank(size)
-    _fit_rows(points, sensor, np.arange(size), np.arange(size), radius, neighbors, workers, local)
+    local = LocalPlanes.blank(len(points))
+    fit = partial(fit_local_planes, points, sensor, neighbors=neighbors, workers=workers, planes=local)
+    fit(tree.number, tree, radius=radius)
     for widening in range(_WIDENINGS):
-        rows = np.flatnonzero(~local.spans & (local.count > _FEWEST_NEIGHBORS))
-        coarse = first_of_runs(cells >> np.uint64(3 * widening))
-        _fit_rows(points, sensor, rows, coarse, radius * 2 ** (widening + 1), neighbors, workers, local)
+        rows = np.flatnonzero(~local.spans & (local.found > _FEWEST_NEIGHBORS))
+        if len(rows):
+            coarse = point_tree(points, first_of_runs(cells >> np.uint64(3 * widening)), workers=workers)
+            fit(rows, coarse, radius=radius * 2 ** (widening + 1))
     return local
 
 
 def _refit_narrow(
-    points: Float, sensor: Float | None, local: _Local, noise: float, radius: float, workers: int
+    points: Float, sensor: Float | None, tree: PointTree, local: LocalPlanes, noise: float, radius: float, workers: int
 ) -> None:
     """Where the neighbors of a point do not lie on one plane, take the plane of the nearest ones if these do.
 
@@ -264,67 +246,28 @@ def _refit_narrow(
     rows = np.flatnonzero(local.spans & (local.deviation > _ROUGH * noise))
     if not len(rows) or noise > _NOISY * radius:
         return
-    narrow = _Local.blank(len(points))
-    _fit_rows(points, sensor, rows, np.arange(len(points)), radius, _NARROW_NEIGHBORS, workers, narrow)
-    better = narrow.spans & (narrow.deviation < _FLATTER * local.deviation)
+    narrow = LocalPlanes.blank(len(points))
+    fit_local_planes(
+        points, sensor, rows, tree, radius=radius, neighbors=_NARROW_NEIGHBORS, workers=workers, planes=narrow
+    )
+    rows = rows[narrow.spans[rows] & (narrow.deviation[rows] < _FLATTER * local.deviation[rows])]
     for name in ("middles", "normals", "deviation"):
-        getattr(local, name)[better] = getattr(narrow, name)[better]
+        getattr(local, name)[rows] = getattr(narrow, name)[rows]
 
 
-def _fit_rows(
-    points: Float,
-    sensor: Float | None,
-    rows: Int,
-    base: Int,
-    radius: float,
-    neighbors: int,
-    workers: int,
-    local: _Local,
-) -> None:
-    """Fit planes at points[rows] to their neighbors in points[base] and note them in local.
-
-    Where base is only a part of the points, planes are noted only where the neighbors span one.
-    """
-    everywhere = len(base) == len(points)
-    tree = cKDTree(points[base], balanced_tree=False)
-    # The tree gives len(base) where there is no neighbor.
-    number = np.append(base, len(points))
-
-    def fit(start: int) -> None:
-        chunk = rows[start : start + _CHUNK]
-        index = tree.query(points[chunk], k=np.arange(1, neighbors + 1), distance_upper_bound=radius)[1]
-        planes = fit_local_planes(points, chunk, number[index])
-        normals = planes.normals if sensor is None else orient_to_sensor(points[chunk], planes.normals, sensor[chunk])
-        spans = _spans_plane(points[chunk], normals, planes.spread, None if sensor is None else sensor[chunk])
-        take = spans | everywhere
-        into = chunk[take]
-        local.middles[into] = planes.middles[take]
-        local.normals[into] = normals[take]
-        local.deviation[into] = planes.spread[take, 0]
-        local.around[into] = planes.around[take]
-        local.spans[into] = spans[take]
-        if everywhere:
-            local.count[chunk] = planes.count
-
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(fit, range(0, len(rows), _CHUNK)))
-
-
-def _spans_plane(points: Float, normals: Float, spread: Float, sensor: Float | None) -> Mask:
-    """Whether neighbors with such a spread determine a plane, and not only a line of one scan."""
-    good = spread[:, 1] * _LINE > spread[:, 2]
-    if sensor is not None:
-        ray = sensor - points
-        good &= np.einsum("ij,ij->i", normals, ray) >= _EDGE_ON * np.linalg.norm(ray, axis=1)
-    return good
+def _median_distances(points: Float, normals: Float, around: NDArray[np.int32], workers: int) -> Float:
+    """Median distance (N,) of each point from the planes of its neighbors."""
+    result = np.empty(len(points))
+    in_chunks(
+        lambda begin, end: _fill_median_distances(points, normals, around, begin, end, result), len(points), workers
+    )
+    return result
 
 
 @numba.njit(cache=True, nogil=True)
-def _median_distances(points, normals, around):  # type: ignore[no-untyped-def]
-    """Median distance (N,) of each point from the planes of its neighbors."""
-    result = np.zeros(len(points))
+def _fill_median_distances(points, normals, around, begin, end, result):  # type: ignore[no-untyped-def]
     distance = np.empty(around.shape[1])
-    for i in range(len(points)):
+    for i in range(begin, end):
         count = 0
         for j in around[i]:
             if j >= 0:
@@ -337,18 +280,24 @@ def _median_distances(points, normals, around):  # type: ignore[no-untyped-def]
                     place -= 1
                 distance[place] = abs(off)
                 count += 1
-        if count:
-            result[i] = 0.5 * (distance[(count - 1) // 2] + distance[count // 2])
-    return result
+        result[i] = 0.5 * (distance[(count - 1) // 2] + distance[count // 2]) if count else 0.0
 
 
-def _links_among(around: NDArray[np.int32], good: Mask) -> NDArray[np.int32]:
-    """Neighbors (M, 8) of the good points, numbered among them; the point itself for none or a point not good."""
-    number = np.full(len(good) + 1, -1, np.int32)
-    number[:-1][good] = np.arange(np.count_nonzero(good), dtype=np.int32)
-    links = number[around[good]]
-    own = np.arange(len(links), dtype=np.int32)[:, None]
-    return np.where(links < 0, own, links)
+def _links_among(around: NDArray[np.int32], good: Int, workers: int) -> NDArray[np.int32]:
+    """Neighbors (M, 8) of the good points (M,), numbered among them; the point itself for none or one not good."""
+    number = np.full(len(around), -1, np.int32)
+    number[good] = np.arange(len(good), dtype=np.int32)
+    links = np.empty((len(good), SECTORS), np.int32)
+    in_chunks(lambda begin, end: _fill_links(around, good, number, begin, end, links), len(good), workers)
+    return links
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_links(around, good, number, begin, end, links):  # type: ignore[no-untyped-def]
+    for i in range(begin, end):
+        for s in range(SECTORS):
+            j = around[good[i], s]
+            links[i, s] = number[j] if j >= 0 and number[j] >= 0 else i
 
 
 def _one_by_count(codes: Codes) -> Float:

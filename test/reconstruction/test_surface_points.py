@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
-from g2_recon.reconstruction.normals import fit_local_planes
+from g2_recon.geometry.point_tree import point_tree
+from g2_recon.reconstruction.normals import LocalPlanes, fit_local_planes
 from g2_recon.reconstruction.surface_points import SurfacePoints, prepare
 
 
@@ -141,15 +142,33 @@ def test_coordinates_of_a_million_metres_change_nothing() -> None:
 
 
 def test_planes_agree_with_a_plain_eigendecomposition() -> None:
-    rng = np.random.default_rng(5)
-    points = rng.normal(size=(50, 3))
-    index = rng.integers(0, 51, (50, 12))
-    planes = fit_local_planes(points, np.arange(50), index)
-    for row, number in enumerate(index):
-        own = points[number[number < 50]]
-        square, axes = np.linalg.eigh((own - own.mean(axis=0)).T @ (own - own.mean(axis=0)))
-        assert abs(planes.normals[row] @ axes[:, 0]) == pytest.approx(1.0)
-        np.testing.assert_allclose(planes.spread[row], np.sqrt(square / (len(own) - 3)))
+    points = np.random.default_rng(5).normal(size=(50, 3))
+    planes = LocalPlanes.blank(50)
+    fit_local_planes(
+        points, None, np.arange(50), point_tree(points), radius=1.5, neighbors=12, workers=1, planes=planes
+    )
+    for row, point in enumerate(points):
+        distance = np.linalg.norm(points - point, axis=1)
+        nearest = np.argsort(distance)[:12]
+        own = points[nearest[distance[nearest] < 1.5]]
+        assert planes.found[row] == len(own)
+        if len(own) > 3:
+            square, axes = np.linalg.eigh((own - own.mean(axis=0)).T @ (own - own.mean(axis=0)))
+            np.testing.assert_allclose(planes.middles[row], own.mean(axis=0), atol=1e-12)
+            assert abs(planes.normals[row] @ axes[:, 0]) == pytest.approx(1.0)
+            assert planes.deviation[row] == pytest.approx(np.sqrt(max(square[0], 0.0) / (len(own) - 3)), abs=1e-9)
+
+
+def test_one_neighbor_is_noted_in_each_direction() -> None:
+    # The nearest of each eighth of the directions around the middle, and one farther off behind each.
+    angle = np.deg2rad(np.arange(22.5, 360, 45))
+    ring = np.column_stack([np.cos(angle), 0.9 * np.sin(angle), np.zeros(8)])
+    points = np.vstack([np.zeros((2, 3)), ring, 1.5 * ring])
+    planes = LocalPlanes.blank(len(points))
+    fit_local_planes(
+        points, None, np.array([0]), point_tree(points), radius=5.0, neighbors=20, workers=1, planes=planes
+    )
+    assert sorted(planes.around[0]) == list(range(2, 10))
 
 
 @pytest.mark.parametrize(
