@@ -26,6 +26,9 @@ _JACOBI_SWEEPS = 8
 _LINE = 8.0
 _EDGE_ON = np.cos(np.deg2rad(87.0))
 
+# Points on one side of a thin wall that make a plane of their own.
+_FEWEST = 6
+
 # A point takes over the plane of a neighbor that it fits this much better, so many times in turn.
 _BETTER = 0.5
 _SHARPENINGS = 3
@@ -102,36 +105,43 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  #
         nearest_to_block(tree, block[:size], radius * radius, squared, places, found)
         for b in range(size):
             row, number, x, y, z = rows[begin + b], found[b], block[b, 0], block[b, 1], block[b, 2]
-            # Sums are relative to the point itself so that large coordinates cost no precision.
-            sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-            for n in range(number):
-                leaf, i = places[b, n] // BLOCK, places[b, n] % BLOCK
-                dx, dy, dz = tree.leaves[leaf, 0, i] - x, tree.leaves[leaf, 1, i] - y, tree.leaves[leaf, 2, i] - z
-                away[n, 0], away[n, 1], away[n, 2] = dx, dy, dz
-                sx, sy, sz = sx + dx, sy + dy, sz + dz
-                xx, xy, xz = xx + dx * dx, xy + dx * dy, xz + dx * dz
-                yy, yz, zz = yy + dy * dy, yz + dy * dz, zz + dz * dz
-            share = 1.0 / max(number, 1)
-            matrix[0, 0] = xx - sx * sx * share
-            matrix[1, 1] = yy - sy * sy * share
-            matrix[2, 2] = zz - sz * sz * share
-            matrix[0, 1] = matrix[1, 0] = xy - sx * sy * share
-            matrix[0, 2] = matrix[2, 0] = xz - sx * sz * share
-            matrix[1, 2] = matrix[2, 1] = yz - sy * sz * share
-            _principal_axes(matrix, axes, square)
-            for a in range(3):
-                # Three degrees of freedom of the noise went into the plane.
-                spread[a] = np.sqrt(max(square[a], 0.0) / max(number - 3, 1))
-            is_plane = spread[1] * _LINE > spread[2]
-            if len(sensor):
-                rx, ry, rz = sensor[row, 0] - x, sensor[row, 1] - y, sensor[row, 2] - z
-                height = axes[0, 0] * rx + axes[1, 0] * ry + axes[2, 0] * rz
-                if height < 0:
-                    for a in range(3):
-                        axes[a, 0] = -axes[a, 0]
-                is_plane &= abs(height) >= _EDGE_ON * np.sqrt(rx * rx + ry * ry + rz * rz)
+            for attempt in range(2):
+                # Sums are relative to the point itself so that large coordinates cost no precision.
+                sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+                for n in range(number):
+                    leaf, i = places[b, n] // BLOCK, places[b, n] % BLOCK
+                    dx, dy, dz = tree.leaves[leaf, 0, i] - x, tree.leaves[leaf, 1, i] - y, tree.leaves[leaf, 2, i] - z
+                    away[n, 0], away[n, 1], away[n, 2] = dx, dy, dz
+                    sx, sy, sz = sx + dx, sy + dy, sz + dz
+                    xx, xy, xz = xx + dx * dx, xy + dx * dy, xz + dx * dz
+                    yy, yz, zz = yy + dy * dy, yz + dy * dz, zz + dz * dz
+                share = 1.0 / max(number, 1)
+                matrix[0, 0] = xx - sx * sx * share
+                matrix[1, 1] = yy - sy * sy * share
+                matrix[2, 2] = zz - sz * sz * share
+                matrix[0, 1] = matrix[1, 0] = xy - sx * sy * share
+                matrix[0, 2] = matrix[2, 0] = xz - sx * sz * share
+                matrix[1, 2] = matrix[2, 1] = yz - sy * sz * share
+                _principal_axes(matrix, axes, square)
+                for a in range(3):
+                    # Three degrees of freedom of the noise went into the plane.
+                    spread[a] = np.sqrt(max(square[a], 0.0) / max(number - 3, 1))
+                is_plane = spread[1] * _LINE > spread[2]
+                if len(sensor):
+                    rx, ry, rz = sensor[row, 0] - x, sensor[row, 1] - y, sensor[row, 2] - z
+                    height = axes[0, 0] * rx + axes[1, 0] * ry + axes[2, 0] * rz
+                    if height < 0:
+                        for a in range(3):
+                            axes[a, 0] = -axes[a, 0]
+                    is_plane &= abs(height) >= _EDGE_ON * np.sqrt(rx * rx + ry * ry + rz * rz)
+                if attempt:
+                    break
+                kept = _on_one_side(points, sensor, tree.number, places[b], number, axes)
+                if kept == number or kept < _FEWEST:
+                    break
+                number = kept
             if everywhere:
-                neighbors_found[row] = number
+                neighbors_found[row] = found[b]
             elif not is_plane:
                 continue
             spans[row], deviation[row] = is_plane, spread[0]
@@ -149,6 +159,33 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  #
                 if around[row, sector] < 0:
                     around[row, sector] = tree.number[places[b, n]]
         begin += size
+
+
+@numba.njit(cache=True, nogil=True)
+def _on_one_side(points, sensor, number, places, count, axes):  # type: ignore[no-untyped-def]
+    """How many of the first `count` places, put in front, hold points seen from the side that the normal looks to.
+
+    The two faces of a thin wall are nearer to each other than the points on them, but seen from opposite sides. All
+    where too few would remain for a plane.
+    """
+    if not len(sensor):
+        return count
+    facing = 0
+    for _ in range(2):
+        kept = 0
+        for n in range(count):
+            j = number[places[n]]
+            height = 0.0
+            for a in range(3):
+                height += axes[a, 0] * (sensor[j, a] - points[j, a])
+            if height >= 0.0:
+                if facing:
+                    places[kept] = places[n]
+                kept += 1
+        facing = kept
+        if kept == count or kept < _FEWEST:
+            break
+    return facing
 
 
 @numba.njit(cache=True, nogil=True)
