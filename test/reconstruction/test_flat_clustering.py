@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
-from g2_recon.reconstruction.clustering.flat import FlatClusters, flat_clusters
+from g2_recon.reconstruction.clustering.flat import FlatClusters, _connected, flat_clusters
 from g2_recon.reconstruction.surface_points import SurfacePoints, prepare
 
 SIZE = np.array([5.0, 4.0, 3.0])
@@ -163,3 +165,13 @@ def assert_sound(surface: SurfacePoints, clusters: FlatClusters) -> None:
     assert np.isfinite(clusters.centers).all()
     assert np.isfinite(clusters.thickness).all()
     np.testing.assert_allclose(np.linalg.norm(clusters.normals, axis=1), 1.0)
+
+
+def test_clusters_are_parted_as_by_a_graph() -> None:
+    rng = np.random.default_rng(0)
+    neighbors = rng.integers(0, 500, (500, 2)).astype(np.int32)
+    label = rng.integers(0, 4, 500)
+    rows, columns = np.repeat(np.arange(500), 2), neighbors.ravel()
+    same = label[rows] == label[columns]
+    graph = coo_array((np.ones(same.sum()), (rows[same], columns[same])), shape=(500, 500))
+    assert (_connected(neighbors, label) == connected_components(graph, directed=False)[1]).all()

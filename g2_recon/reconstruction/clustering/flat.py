@@ -16,8 +16,6 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from g2_recon.errors import InputError
@@ -329,15 +327,38 @@ def _assign_points(points, normals, block, near, least, centers, planes, distanc
                 label[i] = k
 
 
-def _connected(neighbors: NDArray[np.int32], label: Int) -> Int:
-    """The clusters (N,) after parting those that do not hang together over neighbors (N, m)."""
-    count, most = neighbors.shape
-    own = np.arange(count, dtype=np.int32)[:, None]
-    inside = np.where(label[neighbors] == label[:, None], neighbors, own)
-    links = csr_array(
-        (np.ones(inside.size, np.int8), inside.ravel(), np.arange(0, inside.size + 1, most)), shape=(count, count)
-    )
-    return connected_components(links, directed=False)[1].astype(np.int64)
+@numba.njit(cache=True, nogil=True)
+def _connected(neighbors, label):  # type: ignore[no-untyped-def]
+    """The clusters (N,) after parting those that do not hang together over neighbors (N, m), by their first points."""
+    parent = np.arange(len(label))
+    for i in range(len(label)):
+        for j in neighbors[i]:
+            if label[j] != label[i]:
+                continue
+            one, other = _root(parent, i), _root(parent, j)
+            # The earliest point is the root, so that the numbers do not depend on the order of links.
+            if one < other:
+                parent[other] = one
+            else:
+                parent[one] = other
+    number = np.empty(len(label), np.int64)
+    count = 0
+    for i in range(len(label)):
+        root = _root(parent, i)
+        if root == i:
+            number[i] = count
+            count += 1
+        else:
+            number[i] = number[root]
+    return number
+
+
+@numba.njit(cache=True, nogil=True)
+def _root(parent, i):  # type: ignore[no-untyped-def]
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
 
 
 def _without_scraps(
