@@ -304,11 +304,15 @@ def _ask(surface, heap, lookup, a, b, reach, spacing):  # type: ignore[no-untype
     y = 0.5 * (surface.vertices[a, 1] + surface.vertices[b, 1])
     z = 0.5 * (surface.vertices[a, 2] + surface.vertices[b, 2])
     i, j, k = cell_of(lookup, x, y, z)
+    low, high = _box_within(surface.vertices, a, b, reach)
     for di in range(-1, 2):
         for dj in range(-1, 2):
             for dk in range(-1, 2):
                 begin, end = points_in_cell(lookup, i + di, j + dj, k + dk)
                 for row in range(begin, end):
+                    # In the lookup what is near lies together; the numbers of vertices lead all over the memory.
+                    if not _in_box(lookup.points, row, low, high):
+                        continue
                     c = lookup.order[row]
                     if c in (a, b):
                         continue
@@ -329,31 +333,64 @@ def _crosses_surface(surface, lookup, a, b, c, longest):  # type: ignore[no-unty
     low = np.empty(3)
     high = np.empty(3)
     for axis in range(3):
-        low[axis] = min(vertices[a, axis], vertices[b, axis], vertices[c, axis]) - beyond
-        high[axis] = max(vertices[a, axis], vertices[b, axis], vertices[c, axis]) + beyond
-    first, last = cell_of(lookup, low[0], low[1], low[2]), cell_of(lookup, high[0], high[1], high[2])
+        low[axis] = min(vertices[a, axis], vertices[b, axis], vertices[c, axis])
+        high[axis] = max(vertices[a, axis], vertices[b, axis], vertices[c, axis])
+    wide_low, wide_high = low - beyond, high + beyond
+    first = cell_of(lookup, wide_low[0], wide_low[1], wide_low[2])
+    last = cell_of(lookup, wide_high[0], wide_high[1], wide_high[2])
     for i in range(first[0], last[0] + 1):
         for j in range(first[1], last[1] + 1):
             for k in range(first[2], last[2] + 1):
                 begin, end = points_in_cell(lookup, i, j, k)
                 for row in range(begin, end):
-                    if not _in_box(lookup.points, row, low, high):
+                    if not _in_box(lookup.points, row, wide_low, wide_high):
                         continue
                     corner = surface.first[lookup.order[row]]
                     while corner >= 0:
                         face = corner // 3
                         if surface.looked_at[face] < surface.searches[0]:
                             surface.looked_at[face] = surface.searches[0]
-                            if faces_cross(vertices, new, surface.faces[face]):
+                            old = (surface.faces[face, 0], surface.faces[face, 1], surface.faces[face, 2])
+                            if _meets_box(vertices, old, low, high) and faces_cross(vertices, new, old):
                                 return True
                         corner = surface.following[corner]
     return False
 
 
 @numba.njit(cache=True, nogil=True)
+def _box_within(vertices, a, b, reach):  # type: ignore[no-untyped-def]
+    """Low and high corner of a box around all that is within reach of both vertices, and a little more for rounding."""
+    reach *= 1.0 + 1e-9
+    return (
+        (
+            max(vertices[a, 0], vertices[b, 0]) - reach,
+            max(vertices[a, 1], vertices[b, 1]) - reach,
+            max(vertices[a, 2], vertices[b, 2]) - reach,
+        ),
+        (
+            min(vertices[a, 0], vertices[b, 0]) + reach,
+            min(vertices[a, 1], vertices[b, 1]) + reach,
+            min(vertices[a, 2], vertices[b, 2]) + reach,
+        ),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
 def _in_box(points, row, low, high):  # type: ignore[no-untyped-def]
     x, y, z = points[row, 0], points[row, 1], points[row, 2]
     return low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]
+
+
+@numba.njit(cache=True, nogil=True)
+def _meets_box(vertices, face, low, high):  # type: ignore[no-untyped-def]
+    """Whether the box around a face meets another one."""
+    a, b, c = face
+    for axis in range(3):
+        if max(vertices[a, axis], vertices[b, axis], vertices[c, axis]) < low[axis]:
+            return False
+        if min(vertices[a, axis], vertices[b, axis], vertices[c, axis]) > high[axis]:
+            return False
+    return True
 
 
 @numba.njit(cache=True, nogil=True)
