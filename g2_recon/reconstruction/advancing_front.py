@@ -37,6 +37,10 @@ _TURN_COST = 0.3
 # Corners of faces around a vertex may overlap by rounding only, and a new one needs some width; both in rad.
 _ANGLE_ROUNDING = 1e-6
 _LEAST_ANGLE = 0.02
+# Any place on a triangle is within this share of its longest side of one of its corners: 1 / sqrt(3), rounded up.
+_FARTHEST_CORNER = 0.57736
+# A share of the reach that rounding does not use up.
+_REACH_ROUNDING = 1e-9
 
 _FULL_TURN = 2.0 * math.pi
 
@@ -47,6 +51,7 @@ class _Surface(NamedTuple):
     axes: (V, 2, 3) of the tangent plane at each vertex. used: (1,) faces in use of faces (K, 3). first: (V,) a corner
     at each vertex, or -1; following: (3 K,) the next corner at the same vertex, or -1. start, width: (3 K,) rad, the
     sector of the tangent plane that a corner covers. open_edges: (V,) open half-edges that begin or end at a vertex.
+    longest: (V,) m, longest side of the faces at a vertex.
     searches: (1,) searches for crossings so far. looked_at: (K,) the last of them that came by a face.
     """
 
@@ -60,6 +65,7 @@ class _Surface(NamedTuple):
     start: Float
     width: Float
     open_edges: Int
+    longest: Float
     searches: Int
     looked_at: Int
 
@@ -139,6 +145,7 @@ def _surface(vertices, normals, axes, faces):  # type: ignore[no-untyped-def]
         np.empty(3 * room),
         np.empty(3 * room),
         np.zeros(count, np.int64),
+        np.zeros(count),
         np.zeros(1, np.int64),
         np.full(room, -1, np.int64),
     )
@@ -163,6 +170,7 @@ def _with_room(surface):  # type: ignore[no-untyped-def]
         np.concatenate((surface.start, np.empty_like(surface.start))),
         np.concatenate((surface.width, np.empty_like(surface.width))),
         surface.open_edges,
+        surface.longest,
         surface.searches,
         np.concatenate((surface.looked_at, np.full_like(surface.looked_at, -1))),
     )
@@ -178,8 +186,12 @@ def _add_face(surface, a, b, c):  # type: ignore[no-untyped-def]
         change = 1 if _face_at(surface, end, begin) < 0 else -1
         surface.open_edges[begin] += change
         surface.open_edges[end] += change
+    longest = max(
+        _distance(surface.vertices, a, b), _distance(surface.vertices, b, c), _distance(surface.vertices, c, a)
+    )
     for corner in range(3):
         vertex = surface.faces[face, corner]
+        surface.longest[vertex] = max(surface.longest[vertex], longest)
         after, before = surface.faces[face, (corner + 1) % 3], surface.faces[face, (corner + 2) % 3]
         number = 3 * face + corner
         surface.start[number], surface.width[number] = _sector(surface, vertex, after, before)
@@ -304,11 +316,15 @@ def _ask(surface, heap, lookup, a, b, reach, spacing):  # type: ignore[no-untype
     y = 0.5 * (surface.vertices[a, 1] + surface.vertices[b, 1])
     z = 0.5 * (surface.vertices[a, 2] + surface.vertices[b, 2])
     i, j, k = cell_of(lookup, x, y, z)
+    low, high = _box_within(surface.vertices, a, b, reach)
     for di in range(-1, 2):
         for dj in range(-1, 2):
             for dk in range(-1, 2):
                 begin, end = points_in_cell(lookup, i + di, j + dj, k + dk)
                 for row in range(begin, end):
+                    # In the lookup what is near lies together; the numbers of vertices lead all over the memory.
+                    if not _in_box(lookup.points, row, low, high, _REACH_ROUNDING * reach):
+                        continue
                     c = lookup.order[row]
                     if c in (a, b):
                         continue
@@ -324,52 +340,78 @@ def _crosses_surface(surface, lookup, a, b, c, longest):  # type: ignore[no-unty
     vertices = surface.vertices
     new = (a, b, c)
     surface.searches[0] += 1
-    # Any place on a face is within longest / sqrt(3) of one of its corners.
-    beyond = 0.57735 * longest
     low = np.empty(3)
     high = np.empty(3)
     for axis in range(3):
-        low[axis] = min(vertices[a, axis], vertices[b, axis], vertices[c, axis]) - beyond
-        high[axis] = max(vertices[a, axis], vertices[b, axis], vertices[c, axis]) + beyond
-    first, last = cell_of(lookup, low[0], low[1], low[2]), cell_of(lookup, high[0], high[1], high[2])
+        low[axis] = min(vertices[a, axis], vertices[b, axis], vertices[c, axis])
+        high[axis] = max(vertices[a, axis], vertices[b, axis], vertices[c, axis])
+    beyond = _FARTHEST_CORNER * longest
+    first = cell_of(lookup, low[0] - beyond, low[1] - beyond, low[2] - beyond)
+    last = cell_of(lookup, high[0] + beyond, high[1] + beyond, high[2] + beyond)
     for i in range(first[0], last[0] + 1):
         for j in range(first[1], last[1] + 1):
             for k in range(first[2], last[2] + 1):
                 begin, end = points_in_cell(lookup, i, j, k)
                 for row in range(begin, end):
-                    if not _in_box(lookup.points, row, low, high):
+                    if not _in_box(lookup.points, row, low, high, beyond):
                         continue
-                    corner = surface.first[lookup.order[row]]
+                    vertex = lookup.order[row]
+                    if not _in_box(lookup.points, row, low, high, _FARTHEST_CORNER * surface.longest[vertex]):
+                        continue
+                    corner = surface.first[vertex]
                     while corner >= 0:
                         face = corner // 3
                         if surface.looked_at[face] < surface.searches[0]:
                             surface.looked_at[face] = surface.searches[0]
-                            if faces_cross(vertices, new, surface.faces[face]):
+                            old = (surface.faces[face, 0], surface.faces[face, 1], surface.faces[face, 2])
+                            if _meets_box(vertices, old, low, high) and faces_cross(vertices, new, old):
                                 return True
                         corner = surface.following[corner]
     return False
 
 
 @numba.njit(cache=True, nogil=True)
-def _in_box(points, row, low, high):  # type: ignore[no-untyped-def]
-    x, y, z = points[row, 0], points[row, 1], points[row, 2]
-    return low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]
+def _box_within(vertices, a, b, reach):  # type: ignore[no-untyped-def]
+    """Low and high corner of a box around all that is within reach of both vertices."""
+    return (
+        (
+            max(vertices[a, 0], vertices[b, 0]) - reach,
+            max(vertices[a, 1], vertices[b, 1]) - reach,
+            max(vertices[a, 2], vertices[b, 2]) - reach,
+        ),
+        (
+            min(vertices[a, 0], vertices[b, 0]) + reach,
+            min(vertices[a, 1], vertices[b, 1]) + reach,
+            min(vertices[a, 2], vertices[b, 2]) + reach,
+        ),
+    )
 
 
 @numba.njit(cache=True, nogil=True)
-def _longest_side(surface):  # type: ignore[no-untyped-def]
-    longest = 0.0
-    for face in range(surface.used[0]):
-        for corner in range(3):
-            one, other = surface.faces[face, corner], surface.faces[face, (corner + 1) % 3]
-            longest = max(longest, _distance(surface.vertices, one, other))
-    return longest
+def _in_box(points, row, low, high, margin):  # type: ignore[no-untyped-def]
+    """Whether a point is in the box or at most the margin outside of it along an axis."""
+    inside = True
+    for axis in range(3):
+        inside &= low[axis] - margin <= points[row, axis] <= high[axis] + margin
+    return inside
+
+
+@numba.njit(cache=True, nogil=True)
+def _meets_box(vertices, face, low, high):  # type: ignore[no-untyped-def]
+    """Whether the box around a face meets another one."""
+    a, b, c = face
+    for axis in range(3):
+        if max(vertices[a, axis], vertices[b, axis], vertices[c, axis]) < low[axis]:
+            return False
+        if min(vertices[a, axis], vertices[b, axis], vertices[c, axis]) > high[axis]:
+            return False
+    return True
 
 
 @numba.njit(cache=True, nogil=True)
 def _advance(surface, lookup, grid, reach, spacing, support_distance):  # type: ignore[no-untyped-def]
     """All faces after the front has come to rest, the given ones first."""
-    longest = max(reach, _longest_side(surface))
+    longest = max(reach, surface.longest.max())
     heap = _Heap(np.zeros(1, np.int64), np.empty(1024), np.empty((1024, 3), np.int64))
     for face in range(surface.used[0]):
         for corner in range(3):

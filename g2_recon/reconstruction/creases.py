@@ -26,6 +26,8 @@ _HOLD = 0.001
 _FARTHEST = 0.75
 # Twice the area of a face over the square of its longest side; below it the direction of a face means nothing.
 _LEAST_SHAPE = 1e-2
+# What the cosine of an angle may be off.
+_COSINE_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,9 @@ def insert_creases(
     simplification using quadric error metrics", 1997, section 4), a face with three such edges also the point of its
     three planes. No part of a face is turned over: where one would be, the edges of that face stay undivided.
     """
-    edges, face_edges = edges_of(faces, len(vertices))
+    # Most faces lie within a cluster and stay as they are.
+    chosen = np.flatnonzero(_may_crease(faces, normals, cluster, math.cos(angle)))
+    edges, face_edges = edges_of(faces[chosen], len(vertices))
     middle = vertices[edges].mean(axis=1)
     place = _nearest_to_planes(centers[edges], normals[edges], middle)
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -61,14 +65,39 @@ def insert_creases(
         & (np.einsum("ei,ei->e", normals[edges[:, 0]], normals[edges[:, 1]]) < math.cos(angle))
         & (np.linalg.norm(place - middle, axis=1) < _FARTHEST * length)
     )
-    corner_place = _corners(vertices, faces, normals, centers, place[face_edges])
+    corner_place = _corners(vertices, faces[chosen], normals, centers, place[face_edges])
     # Each round divides fewer edges than the one before, so this ends; without divided edges no face is turned.
     while True:
-        surface = _divide(vertices, faces, face_edges, place, corner_place, divided)
-        turned = surface.origin[_turned_over(vertices, faces, surface)]
+        surface = _divide(vertices, faces[chosen], face_edges, place, corner_place, divided)
+        turned = surface.origin[_turned_over(vertices, faces[chosen], surface)]
         if not divided[face_edges[turned]].any():
-            return surface
+            return _with_whole(vertices, faces, chosen, surface)
         divided[face_edges[turned]] = False
+
+
+def _may_crease(faces: Int, normals: Float, cluster: Int, cosine: float) -> Mask:
+    """Mask (F,) of the faces with an edge between clusters that differ by an angle of at least about this cosine."""
+    following = faces[:, [1, 2, 0]]
+    between = cluster[faces] != cluster[following]
+    face, corner = np.nonzero(between)
+    along = np.einsum("ni,ni->n", normals[faces[face, corner]], normals[following[face, corner]])
+    mask = np.zeros(len(faces), bool)
+    mask[face[along < cosine + _COSINE_ROUNDING]] = True
+    return mask
+
+
+def _with_whole(vertices: Float, faces: Int, chosen: Int, surface: CreasedSurface) -> CreasedSurface:
+    """The mesh with its chosen faces (n,) replaced by the surface that these became; whole faces come first."""
+    # Each part of a face has a new vertex.
+    part = (surface.faces >= len(vertices)).any(axis=1)
+    origin = chosen[surface.origin[part]]
+    whole = np.ones(len(faces), bool)
+    whole[origin] = False
+    return CreasedSurface(
+        surface.vertices,
+        np.concatenate([faces[whole], surface.faces[part]]),
+        np.concatenate([np.flatnonzero(whole), origin]),
+    )
 
 
 def _nearest_to_planes(centers: Float, normals: Float, hold: Float) -> Float:
