@@ -162,7 +162,7 @@ def extend_borders(
     mine = owner[rows]
     offset = np.einsum("ni,ni->n", points[rows] - vertices[mine], outward[mine])
     end, count = _quantiles(offset, mine, _END, len(vertices))
-    gap = _gaps(points, neighbors[rows], rows, mine, outward)
+    gap = _gaps(points, neighbors, rows, mine, outward)
     beyond = np.minimum(_BEYOND * gap, _FARTHEST_BEYOND * limit)
     length = np.where(count >= 3, np.minimum(np.maximum(end, 0) + beyond, limit), 0)
     step = length[:, None] * outward
@@ -174,14 +174,28 @@ def extend_borders(
 def _gaps(points: Float, neighbors: NDArray[np.int32], rows: Int, owner: Int, direction: Float) -> Float:
     """Median (V,) m over the points `rows` (M,) of each owner of how far the next point along its direction (V, 3) is.
 
-    Neighbors (M, m) that are more than 45 deg aside do not count; 0 where there is none.
+    Neighbors (N, m) that are more than 45 deg aside do not count; 0 where there is none.
     """
-    step = points[neighbors] - points[rows, None]
-    along = np.abs(np.einsum("nki,ni->nk", step, direction[owner]))
-    ahead = along * math.sqrt(2) > np.linalg.norm(step, axis=2)
-    next_one = np.where(ahead, along, np.inf).min(axis=1)
+    next_one = _next_along(points, neighbors, rows, owner, direction)
     known = np.isfinite(next_one)
     return _quantiles(next_one[known], owner[known], 0.5, len(direction))[0]
+
+
+@numba.njit(cache=True, nogil=True)
+def _next_along(points, neighbors, rows, owner, direction):  # type: ignore[no-untyped-def]
+    """How far (M,) the nearest neighbor of each of the rows is along the direction of its owner, either way."""
+    result = np.full(len(rows), np.inf)
+    for i in range(len(rows)):
+        way = direction[owner[i]]
+        for j in neighbors[rows[i]]:
+            along = square = 0.0
+            for axis in range(3):
+                step = points[j, axis] - points[rows[i], axis]
+                along += step * way[axis]
+                square += step * step
+            if square < 2.0 * along * along:
+                result[i] = min(result[i], abs(along))
+    return result
 
 
 # Neighbors whose normals spread less than this, as an eigenvalue of the mean of n n^T, share one plane: about 25 deg.

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.point_grid import point_grid
 from g2_recon.reconstruction.mesh_repair import (
+    _next_along,
     _take_half_edges,
     border_half_edges,
     extend_borders,
@@ -268,6 +269,19 @@ class TestBorders:
         assert step[1, [0, 2]] == pytest.approx([0, 0], abs=1e-12)
         assert step[1, 1] == pytest.approx(0.5 * (step[0, 1] + step[2, 1]))
         assert step[1, 1] < -0.04
+
+
+def test_the_next_point_along_a_direction_is_within_45_deg_of_it():
+    rng = np.random.default_rng(0)
+    points, neighbors = rng.random((200, 3)), rng.integers(0, 200, (200, 8)).astype(np.int32)
+    rows, direction = np.arange(0, 200, 3), rng.normal(size=(5, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    owner = rng.integers(0, 5, len(rows))
+    step = points[neighbors[rows]] - points[rows, None]
+    along = np.abs(np.einsum("nki,ni->nk", step, direction[owner]))
+    ahead = along * np.sqrt(2) > np.linalg.norm(step, axis=2)
+    expected = np.where(ahead, along, np.inf).min(axis=1)
+    assert _next_along(points, neighbors, rows, owner, direction) == pytest.approx(expected)
 
 
 def test_small_pieces_are_told_from_large_ones():
