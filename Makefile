@@ -27,6 +27,7 @@ EXTRAS := dev$(if $(SOURCED),,$(COMMA)ros)
 
 # The last step of a set-up notes what for; without that note, or with another, the environment is made anew.
 STAMP := $(VENV)/g2_recon_set_up
+KERNELS := $(VENV)/g2_recon_compiled
 WANTED := $(CURDIR) with $(BASE)$(if $(SOURCED), and ROS 2 $(SOURCED))
 FOUND := $(shell $(BIN)/python -c '' 2>/dev/null && cat $(STAMP) 2>/dev/null)
 ifneq ($(WANTED),$(FOUND))
@@ -48,7 +49,15 @@ lint: setup  ## formatting, style and types
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-setup: $(STAMP)  ## the environment in .venv, with g2-recon and colcon in .venv/bin
+setup: $(STAMP) kernels  ## the environment in .venv, with g2-recon and colcon in .venv/bin
+
+# Numba keeps what it compiled beside a source and looks at that source only, not at the kernels that it imports from
+# others: after any change all of them are compiled anew.
+.PHONY: kernels
+kernels: $(STAMP)
+	@[ -z "$$(find g2_recon -name '*.py' -newer $(KERNELS) 2>/dev/null)" ] && [ -e $(KERNELS) ] || { \
+		find g2_recon -name '*.nb[ic]' -delete && \
+		echo "Compiling; this takes a minute or two" && $(BIN)/python -m g2_recon.warm_up && touch $(KERNELS); }
 
 $(STAMP): Makefile package.xml pyproject.toml setup.cfg setup.py
 	$(if $(BASE),,$(error g2_recon needs Python >= 3.10, but '$(PYTHON)' is $(or $(shell { $(PYTHON) -V; } 2>/dev/null),not there); name another one: make PYTHON=python3.12))
@@ -58,7 +67,6 @@ $(STAMP): Makefile package.xml pyproject.toml setup.cfg setup.py
 	@PYTHONWARNINGS=ignore $(BIN)/python $(PIP_INSTALL) -e '.[$(EXTRAS)]'
 	@$(BIN)/python $(PIP_INSTALL) $(NUMPY_TYPES)
 	@$(BIN)/python -c 'import rclpy' 2>/dev/null || echo "No ROS 2 sourced and no wheels of it for this machine: nodes and their tests are off"
-	@$(BIN)/python -m g2_recon.warm_up
 	@$(BIN)/g2-recon --version
 	@echo '$(WANTED)' > $@
 
