@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -41,8 +43,16 @@ def _occupied_cells(
     points: NDArray[np.float64], label: NDArray[np.int64], size: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Cell (N,) of each point, and the centroid (M, 3) and cluster (M,) of each cell; clusters share no cell."""
-    grid = np.column_stack([label, np.floor((points - points.min(axis=0)) / size).astype(np.int64)])
-    occupied, cell, count = np.unique(grid, axis=0, return_inverse=True, return_counts=True)
+    place = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    shape = (int(label.max()) + 1, *(place.max(axis=0) + 1).tolist())
+    if math.prod(shape) < 2**62:
+        # One number a cell is sorted much faster than four.
+        number = np.ravel_multi_index((label, *place.T), shape)
+        _, first, cell, count = np.unique(number, return_index=True, return_inverse=True, return_counts=True)
+    else:
+        _, first, cell, count = np.unique(
+            np.column_stack([label, place]), axis=0, return_index=True, return_inverse=True, return_counts=True
+        )
     cell = cell.reshape(-1)
-    total = np.stack([np.bincount(cell, points[:, axis], len(occupied)) for axis in range(3)], axis=1)
-    return cell, total / count[:, None], occupied[:, 0]
+    total = np.stack([np.bincount(cell, points[:, axis], len(count)) for axis in range(3)], axis=1)
+    return cell, total / count[:, None], label[first]
