@@ -30,6 +30,7 @@ _FARTHEST_BEYOND = 0.35
 
 # What closes a hole may turn away from the surface around it by acos(0.2) = 78 deg.
 _LEAST_AGREEMENT = 0.2
+_SMALL_PIECE = 32
 
 # How much of its way from home a vertex keeps, round by round, while one of its faces crosses another one.
 _KEPT_OF_WAY = (0.5, 0.5, 0.5, 0.0, 0.0)
@@ -298,15 +299,17 @@ def fill_small_loops(
 
     Each hole gets the triangulation of least area (Barequet and Sharir, "Filling gaps in the boundary of a polyhedron",
     1995, section 3.2). A hole stays open where data lies farther than `support_distance` (m) from one of its triangles,
-    where the mesh would not stay manifold and oriented, where more than one triangle would not go on with the surface
-    around, or where a new face would cross another one or be its back.
+    where the mesh would not stay manifold and oriented, where it would get a lid of more than one triangle or its own
+    back, or where a new face would cross another one.
     """
     loops, size = _small_loops(vertices, faces, max_edges)
     triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size)
     support = np.bincount(loop, supported(vertices, triangles, grid, support_distance), len(loops))
     accepted = support == size - 2
-    accepted &= (size == 3) | _goes_on(vertices, triangles, loop, len(loops), _vertex_normals(vertices, faces))
-    accepted &= ~_backs(faces, loops, size, len(vertices))
+    agreement = _agreement(vertices, triangles, loop, len(loops), _vertex_normals(vertices, faces))
+    accepted &= (np.abs(agreement) > _LEAST_AGREEMENT) | (size == 3)
+    # What lies on the back of its surroundings closes a fold there; around a piece hardly larger it would be its back.
+    accepted &= (agreement > 0) | ~_around_small_pieces(vertices, faces, loops)
     accepted &= _keeps_manifold(faces, triangles, loop, size, accepted, len(vertices))
     while True:
         chosen = accepted[loop]
@@ -318,16 +321,16 @@ def fill_small_loops(
         accepted[loop[chosen][crossing]] = False
 
 
-def _goes_on(vertices: Float, triangles: Int, loop: Int, count: int, normals: Float) -> Mask:
-    """Mask (count,) of the loops whose triangles go on with the surface around, unlike a lid on the end of a column.
+def _agreement(vertices: Float, triangles: Int, loop: Int, count: int, normals: Float) -> Float:
+    """Cosine (count,) of the angle between the triangles of each loop and the surface around, mean over their area.
 
-    loop: (T,) of each triangle. On average over their area they face within 78 deg of the normals (V, 3) of the
-    vertices at their corners.
+    loop: (T,) of each triangle. normals: (V, 3); the surface around is that at the corners of the triangles. A lid on
+    the end of a column has about 0.
     """
     area = _area_vectors(vertices, triangles)
     along = np.einsum("ti,tki->t", area, _unit(normals)[triangles]) / 3
     size = np.bincount(loop, np.linalg.norm(area, axis=1), count)
-    return np.asarray(np.bincount(loop, along, count) > _LEAST_AGREEMENT * size)
+    return np.asarray(np.bincount(loop, along, count) / np.maximum(size, 1e-300))
 
 
 def _unit(vectors: Float) -> Float:
@@ -335,12 +338,12 @@ def _unit(vectors: Float) -> Float:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
-def _backs(faces: Int, loops: Int, size: Int, count: int) -> Mask:
-    """Mask (L,) of the loops that are around a face without neighbors: what closes them would be its back."""
-    alone = faces[is_open(faces, count).all(axis=1)]
-    corners = {tuple(face) for face in np.sort(alone, axis=1).tolist()}
-    around = [size[loop] == 3 and tuple(sorted(loops[loop, :3].tolist())) in corners for loop in range(len(loops))]
-    return np.array(around, bool)
+def _around_small_pieces(vertices: Float, faces: Int, loops: Int) -> Mask:
+    """Mask (L,) of the loops around pieces of the mesh with fewer than 32 faces."""
+    large = large_pieces(vertices, faces, least_area=0.0, least_faces=_SMALL_PIECE)
+    in_small = np.zeros(len(vertices), bool)
+    in_small[faces[~large]] = True
+    return np.asarray(in_small[loops[:, 0]])
 
 
 def _small_loops(vertices: Float, faces: Int, max_edges: int) -> tuple[Int, Int]:
