@@ -180,7 +180,9 @@ def triangulate(
     limit = _FARTHEST_EXTENSION * config.spacing
     extended = extend_borders(fitted, faces, normals, surface.points, surface.neighbors, owner, limit=limit)
     vertices, sound = remove_crossings(extended, faces, vertices)
-    faces, face_submap = _filled(vertices, faces[sound], face_submap[sound], grid, near)
+    # Only where no two fans share a vertex has each hole a border of its own.
+    vertices, faces, _ = split_pinched(vertices, faces[sound])
+    faces, face_submap = _filled(vertices, faces, face_submap[sound], grid, near)
     vertices, faces, _ = split_pinched(vertices, faces)
     large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2)
     vertices, faces = _without_unused(vertices, faces[large])
