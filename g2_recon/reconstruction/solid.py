@@ -69,7 +69,7 @@ _LEAST_AGREEMENT = 0.3
 def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: Progress = silent) -> Reconstruction:
     """Reconstruct a surface as a manifold, consistently oriented mesh of triangles.
 
-    Raises InputError where the cloud has too few points on a surface.
+    Raises InputError where the cloud has too few points on a surface, or these cover none of it.
     """
     workers = config.workers or os.cpu_count() or 1
     frame = own_frame(cloud.points)
@@ -77,6 +77,11 @@ def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: P
     clusters = _reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
     submaps, owner = build_submaps(surface, clusters, config, workers, progress)
     mesh = _reported(lambda: triangulate(surface, submaps, owner, config, workers), "joining", progress)
+    if not len(mesh.faces):
+        raise InputError(
+            "the cloud holds no patch of surface that its points cover",
+            advice="choose a larger spacing where points are far apart, or a smaller one where the surface is small",
+        )
     mesh = replace(mesh, vertices=frame.back(mesh.vertices))
     error = np.linalg.norm(surface.points - submaps.vertices[owner], axis=1)[owner >= 0].mean()
     return Reconstruction(
