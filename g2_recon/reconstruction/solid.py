@@ -69,7 +69,7 @@ _LEAST_AGREEMENT = 0.3
 def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: Progress = silent) -> Reconstruction:
     """Reconstruct a surface as a manifold, consistently oriented mesh of triangles.
 
-    Raises InputError where the cloud has too few points on a surface.
+    Raises InputError where the cloud has too few points on a surface, or these cover none of it.
     """
     workers = config.workers or os.cpu_count() or 1
     frame = own_frame(cloud.points)
@@ -77,6 +77,11 @@ def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: P
     clusters = _reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
     submaps, owner = build_submaps(surface, clusters, config, workers, progress)
     mesh = _reported(lambda: triangulate(surface, submaps, owner, config, workers), "joining", progress)
+    if not len(mesh.faces):
+        raise InputError(
+            "the cloud holds no patch of surface that its points cover",
+            advice="choose a larger spacing where points are far apart, or a smaller one where the surface is small",
+        )
     mesh = replace(mesh, vertices=frame.back(mesh.vertices))
     error = np.linalg.norm(surface.points - submaps.vertices[owner], axis=1)[owner >= 0].mean()
     return Reconstruction(
@@ -179,15 +184,18 @@ def triangulate(
     )
     limit = _FARTHEST_EXTENSION * config.spacing
     extended = extend_borders(fitted, faces, normals, surface.points, surface.neighbors, owner, limit=limit)
+    # Before the search for crossings, as this may make some.
+    grain = _GRAIN * config.spacing
+    vertices, extended = _rounded(vertices, grain), _rounded(extended, grain)
     vertices, sound = remove_crossings(extended, faces, vertices)
     # Only where no two fans share a vertex has each hole a border of its own.
-    vertices, faces, _ = split_pinched(vertices, faces[sound])
-    faces, face_submap = _filled(vertices, faces, face_submap[sound], grid, near)
-    vertices, faces, _ = split_pinched(vertices, faces)
+    vertices, faces, parted = _parted(vertices, faces[sound])
+    faces, face_submap = _filled(vertices, faces, face_submap[sound][parted], grid, near)
+    vertices, faces, parted = _parted(vertices, faces)
+    face_submap = face_submap[parted]
     large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2)
     vertices, faces = _without_unused(vertices, faces[large])
-    grain = _GRAIN * config.spacing
-    return Mesh(np.round(vertices / grain) * grain, faces, face_submap[large])
+    return Mesh(vertices, faces, face_submap[large])
 
 
 def sound_cells(submaps: FlatSubmaps, grid: PointGrid, support_distance: float) -> NDArray[np.bool_]:
@@ -232,6 +240,26 @@ def _filled(vertices: Float, faces: Int, submap: Int, grid: PointGrid, near: flo
     beside = np.zeros(len(vertices), np.int64)
     beside[faces] = submap[:, None]
     return np.concatenate([faces, new]), np.concatenate([submap, beside[new[:, 0]]])
+
+
+def _parted(vertices: Float, faces: Int) -> tuple[Float, Int, Int]:
+    """Vertices (V', 3) and faces (F', 3) with one fan of faces a vertex and no crossings, and which (F',) faces stay.
+
+    The copies of a vertex move into their fans, which may take one through another where that lies around it. A face
+    is dropped there; it may leave two fans behind, so this is repeated.
+    """
+    kept: Int = np.arange(len(faces))
+    while True:
+        parted, split, origin = split_pinched(vertices, faces)
+        moved = (parted != vertices[origin]).any(axis=1)
+        _, sound = remove_crossings(parted, split, parted, among=moved[split].any(axis=1))
+        if sound.all():
+            return parted, split, kept
+        faces, kept = faces[sound], kept[sound]
+
+
+def _rounded(values: Float, grain: float) -> Float:
+    return np.asarray(np.round(values / grain) * grain)
 
 
 def _without_unused(vertices: Float, faces: Int) -> tuple[Float, Int]:

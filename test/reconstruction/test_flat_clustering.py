@@ -129,6 +129,15 @@ def test_coordinates_of_a_million_metres_change_nothing() -> None:
     assert purity(flat_clusters(surface).label, face[surface.kept]) > 0.98
 
 
+def test_points_that_lie_in_a_plane_but_for_rounding_keep_their_cluster() -> None:
+    flat = np.stack(np.meshgrid(np.arange(4), np.arange(8), [0]), axis=-1).reshape(-1, 3) * 0.1
+    for turn in range(40):
+        # Around the origin, where nothing but the points themselves tells how fine coordinates are.
+        points = Rotation.random(rng=turn).apply(flat - flat.mean(axis=0))
+        clusters = flat_clusters(prepare(Cloud(points), spacing=0.1, radius=0.125, off_plane=0.075), min_area=0.01)
+        assert set(clusters.label) - {-1} == set(range(len(clusters)))
+
+
 def test_a_surface_with_no_large_piece_is_refused() -> None:
     surface = prepare(Cloud(sheet((0, 0, 0), (0.05, 0.05, 0.05), 50)))
     with pytest.raises(InputError, match="hangs together covers"):

@@ -48,8 +48,9 @@ _TRIM_ROUNDS = 2
 # Points that spread this part as far across a line as along it are a line.
 _LINE = 0.02
 
-# Rounding of coordinates, relative; points that lie in a plane exactly must not be trimmed for it.
-_ROUNDING = 1e-12
+# A deviation comes from sums of squares: less than this share of the length of a cluster is rounding. Taken for what it
+# seems, all points of a plane without noise could be trimmed off it.
+_ROUNDING = 1e-7
 
 # Where the products xx xy xz yy yz zz are among the moments.
 _SYMMETRIC = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])
@@ -416,7 +417,7 @@ def _trimmed_fit(sample: _Sample, label: Int, noise: float, pool: ThreadPoolExec
     """Planes of the clusters without the points that are 2.5 standard deviations off them, found in two rounds."""
     planes = _fit(sample, label, pool)
     for _ in range(_TRIM_ROUNDS):
-        limit = _TRIM * np.maximum(planes.thickness, noise) + _ROUNDING * np.linalg.norm(planes.centers, axis=1)
+        limit = _TRIM * np.maximum(planes.thickness, noise)
         planes = _planes(_moments(sample, label, planes.centers, (planes.normals, limit), pool), planes.centers)
     return planes
 
@@ -492,5 +493,6 @@ def _planes(moments: Float, anchor: Float) -> _Planes:
     length = np.linalg.norm(facing, axis=1)
     line = (square[:, 1] <= _LINE**2 * square[:, 2]) & (length > 0)
     normals[line] = facing[line] / length[line, None]
-    thickness = np.sqrt(np.maximum(np.einsum("ij,ijk,ik->i", normals, scatter, normals), 0.0))
+    variance = np.einsum("ij,ijk,ik->i", normals, scatter, normals)
+    thickness = np.sqrt(np.maximum(variance, _ROUNDING**2 * square[:, 2]))
     return _Planes(anchor + mean, normals, thickness, weight)
