@@ -189,8 +189,8 @@ def triangulate(
     vertices, extended = _rounded(vertices, grain), _rounded(extended, grain)
     vertices, sound = remove_crossings(extended, faces, vertices)
     faces, face_submap = _filled(vertices, faces[sound], face_submap[sound], grid, near)
-    vertices, faces, sound = _parted(vertices, faces)
-    face_submap = face_submap[sound]
+    vertices, faces, kept = _parted(vertices, faces)
+    face_submap = face_submap[kept]
     large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2)
     vertices, faces = _without_unused(vertices, faces[large])
     return Mesh(vertices, faces, face_submap[large])
