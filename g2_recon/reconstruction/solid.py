@@ -184,12 +184,9 @@ def triangulate(
     )
     limit = _FARTHEST_EXTENSION * config.spacing
     extended = extend_borders(fitted, faces, normals, surface.points, surface.neighbors, owner, limit=limit)
-    # Before the search for crossings, as this may make some.
-    grain = _GRAIN * config.spacing
-    vertices, extended = _rounded(vertices, grain), _rounded(extended, grain)
     vertices, sound = remove_crossings(extended, faces, vertices)
     faces, face_submap = _filled(vertices, faces[sound], face_submap[sound], grid, near)
-    vertices, faces, kept = _parted(vertices, faces)
+    vertices, faces, kept = _parted(vertices, faces, _GRAIN * config.spacing)
     face_submap = face_submap[kept]
     large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2)
     vertices, faces = _without_unused(vertices, faces[large])
@@ -240,24 +237,20 @@ def _filled(vertices: Float, faces: Int, submap: Int, grid: PointGrid, near: flo
     return np.concatenate([faces, new]), np.concatenate([submap, beside[new[:, 0]]])
 
 
-def _parted(vertices: Float, faces: Int) -> tuple[Float, Int, Int]:
-    """Vertices (V', 3) and faces (F', 3) with one fan of faces a vertex and no crossings, and which (F',) faces stay.
+def _parted(vertices: Float, faces: Int, grain: float) -> tuple[Float, Int, Int]:
+    """Vertices (V', 3) in multiples of the grain (m), faces (F', 3), one fan a vertex, and which (F',) faces stay.
 
-    The copies of a vertex move into their fans, which may take one through another where that lies around it. A face
-    is dropped there; it may leave two fans behind, so this is repeated.
+    The copies of a vertex move into their fans, which may take one through another where that lies around it, and so
+    may rounding. A face is dropped there; it may leave two fans behind, so this is repeated.
     """
     kept: Int = np.arange(len(faces))
     while True:
-        parted, split, origin = split_pinched(vertices, faces)
-        moved = (parted != vertices[origin]).any(axis=1)
-        _, sound = remove_crossings(parted, split, parted, among=moved[split].any(axis=1))
+        parted, split, _ = split_pinched(vertices, faces)
+        parted = np.round(parted / grain) * grain
+        _, sound = remove_crossings(parted, split, parted)
         if sound.all():
             return parted, split, kept
         faces, kept = faces[sound], kept[sound]
-
-
-def _rounded(values: Float, grain: float) -> Float:
-    return np.asarray(np.round(values / grain) * grain)
 
 
 def _without_unused(vertices: Float, faces: Int) -> tuple[Float, Int]:
