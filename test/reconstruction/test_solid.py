@@ -225,7 +225,7 @@ def test_a_room_that_is_turned_moved_or_reordered_has_the_same_mesh(room_mesh, c
     moved = Cloud(turn.apply(points)[order] + step, turn.apply(sensor)[order] + step)
     mesh = reconstruct(moved, ReconstructionConfig()).mesh
     back = turn.inv().apply(mesh.vertices - step)
-    # The grain is a micrometre, neighbors are centimeters apart. UTM coordinates are rounded to a nanometre, and where a
+    # The grain is a micrometre, neighbors are centimeters apart. UTM coordinates are rounded to a nanometre; where a
     # decision hangs on that, a few vertices differ.
     assert (cKDTree(back).query(room_mesh.vertices)[0] < 1e-4).mean() > 0.99
     assert (cKDTree(room_mesh.vertices).query(back)[0] < 1e-4).mean() > 0.99
