@@ -253,14 +253,14 @@ def large_pieces(vertices: Float, faces: Int, *, least_area: float, least_faces:
     return np.asarray(((area >= least_area) & (np.bincount(piece) >= least_faces))[piece])
 
 
-def remove_crossings(vertices: Float, faces: Int, home: Float, *, among: Mask | None = None) -> tuple[Float, Mask]:
+def remove_crossings(vertices: Float, faces: Int, home: Float) -> tuple[Float, Mask]:
     """Vertices (V, 3) and a mask (F,) of the faces to keep, such that no face crosses another one.
 
     Vertices that were moved for looks go back towards `home` (V, 3), where they came from, as far as it takes; of faces
-    that cross even so, as few as possible are dropped, later ones first. among: (F,) the faces that may cross others.
+    that cross even so, as few as possible are dropped, later ones first.
     """
     vertices = vertices.copy()
-    pairs = crossing_pairs(vertices, faces, among=among)
+    pairs = crossing_pairs(vertices, faces)
     for share in _KEPT_OF_WAY:
         moved = np.zeros(len(vertices), bool)
         moved[faces[pairs].ravel()] = True

@@ -7,7 +7,6 @@ Flat clusters that are the walls, maps as large as these, batch training, an opt
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,23 +20,12 @@ from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.edges import edges_of
 from g2_recon.geometry.mesh import Mesh, WireMesh
-from g2_recon.geometry.point_grid import PointGrid, point_grid
 from g2_recon.progress import Progress, silent
-from g2_recon.reconstruction.advancing_front import join_submaps
 from g2_recon.reconstruction.clustering.flat import FlatClusters, flat_clusters
-from g2_recon.reconstruction.creases import insert_creases
-from g2_recon.reconstruction.fitting import fit_to_points
 from g2_recon.reconstruction.flat_submaps import FlatSubmaps, train_submaps
-from g2_recon.reconstruction.mesh_repair import (
-    extend_borders,
-    fill_small_loops,
-    large_pieces,
-    remove_crossings,
-    split_pinched,
-)
+from g2_recon.reconstruction.mesh_of_submaps import mesh_of_submaps
 from g2_recon.reconstruction.own_frame import own_frame
 from g2_recon.reconstruction.result import Reconstruction
-from g2_recon.reconstruction.support import on_own_data, supported
 from g2_recon.reconstruction.surface_points import SurfacePoints, prepare
 
 Float = NDArray[np.float64]
@@ -50,20 +38,6 @@ _OFF_PLANE = 0.75
 _PATCH_CELLS = 40.0
 _PATCH_SIZE = 4.0
 _FLATNESS = 0.2
-# A triangle between submaps has sides of at most this many thetas of the usual edge: its apex faces an edge.
-_REACH = 1.25
-# A border moves outwards by less than one cell.
-_FARTHEST_EXTENSION = 0.9
-# The fit looks for data of a triangle in this part of a cell around it.
-_FARTHEST_FIT = 0.25
-# A piece of less than this many cells, such as the strip that a single scan saw, or of a single face is no surface
-# that one would see.
-_LEAST_PIECE = 0.5
-# Coordinates are whole multiples of this share of the spacing, a micrometre at 20 cm: faces of one wall would else be
-# coplanar to the last bit, which exact tests of other tools take for overlap.
-_GRAIN = 5e-6
-# A cell whose triangle turns away from the surface of its neurons by more than 73 deg is folded.
-_LEAST_AGREEMENT = 0.3
 
 
 def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: Progress = silent) -> Reconstruction:
@@ -76,7 +50,7 @@ def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: P
     surface = _reported(lambda: find_surface(frame.of(cloud), config, workers), "normals", progress)
     clusters = _reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
     submaps, owner = build_submaps(surface, clusters, config, workers, progress)
-    mesh = _reported(lambda: triangulate(surface, submaps, owner, config, workers), "joining", progress)
+    mesh = _reported(lambda: mesh_of_submaps(surface, submaps, owner, config, workers), "joining", progress)
     if not len(mesh.faces):
         raise InputError(
             "the cloud holds no patch of surface that its points cover",
@@ -146,125 +120,12 @@ def build_submaps(
     return submaps, owner
 
 
-def triangulate(
-    surface: SurfacePoints, submaps: FlatSubmaps, owner: Int, config: ReconstructionConfig, workers: int
-) -> Mesh:
-    """Phases 3 and 4: cells where there is data, an optimizing join, creases, and borders fitted to the data."""
-    near = config.support_distance or config.spacing
-    # In cells of this size any point of an occupied one is near enough.
-    grid = point_grid(surface.points, cell=near / math.sqrt(3))
-    used = submaps.hits > 0
-    number = np.where(used, np.cumsum(used) - 1, -1)
-    owner = np.where(owner >= 0, number[owner], -1)
-    neurons, normals, submap = submaps.vertices[used], submaps.normals[used], submaps.submap[used]
-    cells = number[submaps.faces[sound_cells(submaps, grid, near)]]
-    point_submap = np.where(owner >= 0, submap[owner], -1)
-    cells = cells[on_own_data(neurons, cells, submap[cells[:, 0]], grid, point_submap, near)]
-    cells = cells[remove_crossings(neurons, cells, neurons)[1]]
-    edge = _usual_edge(neurons, cells, config.spacing)
-    joins = join_submaps(
-        neurons, normals, cells, grid, reach=_REACH * config.theta * edge, spacing=edge, support_distance=near
-    )
-    joined = np.concatenate([cells, joins])
-    joined, joined_submap = _filled(neurons, joined, submap[joined[:, 0]], grid, near)
-    creased = insert_creases(neurons, joined, normals, submaps.center[used], submap)
-    vertices, faces, face_submap = creased.vertices, creased.faces, joined_submap[creased.origin]
-    # Without a normal a crease vertex moves along its crease only.
-    normals = np.concatenate([normals, np.zeros((len(vertices) - len(normals), 3))])
-    bent = submaps.bent[submap]
-    free = np.concatenate([bent, touching(faces, bent, len(vertices))[len(bent) :]])
-    near_bent = touching(faces, free, len(vertices))
-    fitted = fit_to_points(
-        vertices,
-        faces,
-        free,
-        surface.points[(owner >= 0) & near_bent[owner]],
-        limit=_FARTHEST_FIT * config.spacing,
-        workers=workers,
-    )
-    limit = _FARTHEST_EXTENSION * config.spacing
-    extended = extend_borders(fitted, faces, normals, surface.points, surface.neighbors, owner, limit=limit)
-    # Before the search for crossings, as this may make some.
-    grain = _GRAIN * config.spacing
-    vertices, extended = _rounded(vertices, grain), _rounded(extended, grain)
-    vertices, sound = remove_crossings(extended, faces, vertices)
-    # Only where no two fans share a vertex has each hole a border of its own.
-    vertices, faces, parted = _parted(vertices, faces[sound])
-    faces, face_submap = _filled(vertices, faces, face_submap[sound][parted], grid, near)
-    vertices, faces, parted = _parted(vertices, faces)
-    face_submap = face_submap[parted]
-    large = large_pieces(vertices, faces, least_area=_LEAST_PIECE * config.spacing**2)
-    vertices, faces = _without_unused(vertices, faces[large])
-    return Mesh(vertices, faces, face_submap[large])
-
-
-def sound_cells(submaps: FlatSubmaps, grid: PointGrid, support_distance: float) -> NDArray[np.bool_]:
-    """Mask (F,) of the triangles of cells that are covered by data and not folded, and whose neurons have data."""
-    first, second, third = (submaps.vertices[submaps.faces[:, corner]] for corner in range(3))
-    normal = np.cross(second - first, third - first)
-    length = np.linalg.norm(normal, axis=1)
-    along = np.einsum("fi,fi->f", normal, submaps.normals[submaps.faces[:, 0]])
-    return np.asarray(
-        supported(submaps.vertices, submaps.faces, grid, support_distance)
-        & (along > _LEAST_AGREEMENT * length)
-        & (submaps.hits[submaps.faces] > 0).all(axis=1)
-    )
-
-
 def wire_of(mesh: Mesh) -> WireMesh:
     """The vertices and edges of a mesh as a wire mesh; a vertex belongs to the lowest submap among its faces."""
     submap = np.full(len(mesh.vertices), len(mesh.submap) + 1)
     np.minimum.at(submap, mesh.faces.ravel(), np.repeat(mesh.submap, 3))
     edges, _ = edges_of(mesh.faces, len(mesh.vertices))
     return WireMesh(mesh.vertices, edges, submap, submap[edges[:, 0]] != submap[edges[:, 1]])
-
-
-def touching(faces: Int, which: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """Mask (count,) of the vertices that share a face with one of `which` (count,) or its first vertices."""
-    mask = np.zeros(count, bool)
-    mask[: len(which)] = which
-    mask[faces[mask[faces].any(axis=1)]] = True
-    return mask
-
-
-def _usual_edge(vertices: Float, faces: Int, spacing: float) -> float:
-    """Median length in metres of an edge of the cells; the spacing where there are none."""
-    if not len(faces):
-        return spacing
-    return float(np.median(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1)))
-
-
-def _filled(vertices: Float, faces: Int, submap: Int, grid: PointGrid, near: float) -> tuple[Int, Int]:
-    """Faces (F', 3) and their submaps after small holes with data in them are closed; a new face takes a neighbor's."""
-    new = fill_small_loops(vertices, faces, grid, support_distance=near)
-    beside = np.zeros(len(vertices), np.int64)
-    beside[faces] = submap[:, None]
-    return np.concatenate([faces, new]), np.concatenate([submap, beside[new[:, 0]]])
-
-
-def _parted(vertices: Float, faces: Int) -> tuple[Float, Int, Int]:
-    """Vertices (V', 3) and faces (F', 3) with one fan of faces a vertex and no crossings, and which (F',) faces stay.
-
-    The copies of a vertex move into their fans, which may take one through another where that lies around it. A face
-    is dropped there; it may leave two fans behind, so this is repeated.
-    """
-    kept: Int = np.arange(len(faces))
-    while True:
-        parted, split, origin = split_pinched(vertices, faces)
-        moved = (parted != vertices[origin]).any(axis=1)
-        _, sound = remove_crossings(parted, split, parted, among=moved[split].any(axis=1))
-        if sound.all():
-            return parted, split, kept
-        faces, kept = faces[sound], kept[sound]
-
-
-def _rounded(values: Float, grain: float) -> Float:
-    return np.asarray(np.round(values / grain) * grain)
-
-
-def _without_unused(vertices: Float, faces: Int) -> tuple[Float, Int]:
-    used, number = np.unique(faces, return_inverse=True)
-    return vertices[used], number.reshape(-1, 3).astype(np.int64)
 
 
 def _reported(step: Callable[[], Result], stage: str, progress: Progress) -> Result:

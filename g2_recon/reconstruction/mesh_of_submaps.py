@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Phases 3 and 4 of mode solid: from trained submaps to one mesh of triangles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g2_recon.config import ReconstructionConfig
+from g2_recon.geometry.mesh import Mesh
+from g2_recon.geometry.point_grid import PointGrid, point_grid
+from g2_recon.reconstruction.advancing_front import join_submaps
+from g2_recon.reconstruction.creases import insert_creases
+from g2_recon.reconstruction.fitting import fit_to_points
+from g2_recon.reconstruction.flat_submaps import FlatSubmaps
+from g2_recon.reconstruction.mesh_repair import (
+    extend_borders,
+    fill_small_loops,
+    large_pieces,
+    remove_crossings,
+    split_pinched,
+)
+from g2_recon.reconstruction.support import on_own_data, supported
+from g2_recon.reconstruction.surface_points import SurfacePoints
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# A triangle between submaps has sides of at most this many thetas of the usual edge: its apex faces an edge.
+_REACH = 1.25
+# A border moves outwards by less than one cell.
+_FARTHEST_EXTENSION = 0.9
+# The fit looks for data of a triangle in this part of a cell around it.
+_FARTHEST_FIT = 0.25
+# A piece of less than this many cells, such as the strip that a single scan saw, is no surface that one would see.
+_LEAST_PIECE = 0.5
+# Coordinates are whole multiples of this share of the spacing, a micrometre at 20 cm: faces of one wall would else be
+# coplanar to the last bit, which exact tests of other tools take for overlap.
+_GRAIN = 5e-6
+# A cell whose triangle turns away from the surface of its neurons by more than 73 deg is folded.
+_LEAST_AGREEMENT = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class _Neurons:
+    """The neurons that have data.
+
+    places, normals, centers: (V, 3), a center is a point of the tangent plane. submap: (V,). bent: (V,) whether it lies
+    on a bend. cells: (C, 3) triangles of the lattices. owner: (N,) the neuron of each point, -1 for none.
+    """
+
+    places: Float
+    normals: Float
+    centers: Float
+    submap: Int
+    bent: Mask
+    cells: Int
+    owner: Int
+
+
+@dataclass(frozen=True, slots=True)
+class _Sheet:
+    """A mesh in the making: vertices (V, 3) m, the neurons first; faces (F, 3) and the submap (F,) of each."""
+
+    vertices: Float
+    faces: Int
+    submap: Int
+
+
+@dataclass(frozen=True, slots=True)
+class _Data:
+    """The points, a grid of them, and how near (m) they must lie to a triangle to support it."""
+
+    surface: SurfacePoints
+    grid: PointGrid
+    near: float
+
+
+def mesh_of_submaps(
+    surface: SurfacePoints, submaps: FlatSubmaps, owner: Int, config: ReconstructionConfig, workers: int
+) -> Mesh:
+    """The mesh of all submaps. owner: (N,) the neuron of each point of the surface, -1 for none."""
+    near = config.support_distance or config.spacing
+    # In cells of this size any point of an occupied one is near enough.
+    data = _Data(surface, point_grid(surface.points, cell=near / math.sqrt(3)), near)
+    neurons = with_data(submaps, owner)
+    cells = sound_cells(neurons, data)
+    joined = join(neurons, cells, data, config)
+    creased = crease(joined, neurons)
+    fitted = fit_bends(creased, neurons, data, config, workers)
+    extended = extend(fitted, creased, neurons, data, config)
+    return finish(extended, data, config)
+
+
+def with_data(submaps: FlatSubmaps, owner: Int) -> _Neurons:
+    """The neurons that are the best matching unit of a point, numbered anew, and the cells between them."""
+    used = submaps.hits > 0
+    number = np.where(used, np.cumsum(used) - 1, -1)
+    submap = submaps.submap[used]
+    return _Neurons(
+        places=submaps.vertices[used],
+        normals=submaps.normals[used],
+        centers=submaps.center[used],
+        submap=submap,
+        bent=submaps.bent[submap],
+        cells=number[submaps.faces[used[submaps.faces].all(axis=1)]],
+        owner=np.where(owner >= 0, number[owner], -1),
+    )
+
+
+def sound_cells(neurons: _Neurons, data: _Data) -> Int:
+    """The cells (C', 3) that are covered by data, that of their own submap, are not folded and cross no other."""
+    cells = neurons.cells
+    first, second, third = (neurons.places[cells[:, corner]] for corner in range(3))
+    normal = np.cross(second - first, third - first)
+    along = np.einsum("fi,fi->f", normal, neurons.normals[cells[:, 0]])
+    upright = along > _LEAST_AGREEMENT * np.linalg.norm(normal, axis=1)
+    cells = cells[upright & supported(neurons.places, cells, data.grid, data.near)]
+    label = np.where(neurons.owner >= 0, neurons.submap[neurons.owner], -1)
+    submap = neurons.submap[cells[:, 0]]
+    cells = cells[on_own_data(neurons.places, cells, submap, data.grid, label, data.near)]
+    return np.asarray(cells[remove_crossings(neurons.places, cells, neurons.places)[1]])
+
+
+def join(neurons: _Neurons, cells: Int, data: _Data, config: ReconstructionConfig) -> _Sheet:
+    """Phase 3: the strips between the submaps, and the small holes that the front left."""
+    edge = config.spacing
+    if len(cells):
+        edge = float(np.median(np.linalg.norm(neurons.places[cells[:, 0]] - neurons.places[cells[:, 1]], axis=1)))
+    joins = join_submaps(
+        neurons.places,
+        neurons.normals,
+        cells,
+        data.grid,
+        reach=_REACH * config.theta * edge,
+        spacing=edge,
+        support_distance=data.near,
+    )
+    faces = np.concatenate([cells, joins])
+    return _filled(_Sheet(neurons.places, faces, neurons.submap[faces[:, 0]]), data)
+
+
+def crease(sheet: _Sheet, neurons: _Neurons) -> _Sheet:
+    """Vertices where the planes of neighboring submaps meet."""
+    creased = insert_creases(sheet.vertices, sheet.faces, neurons.normals, neurons.centers, neurons.submap)
+    return _Sheet(creased.vertices, creased.faces, sheet.submap[creased.origin])
+
+
+def fit_bends(sheet: _Sheet, neurons: _Neurons, data: _Data, config: ReconstructionConfig, workers: int) -> _Sheet:
+    """Phase 4, where the surface is curved: the triangles, not only the neurons, lie amid the points."""
+    count = len(sheet.vertices)
+    # A crease moves where it touches a bend.
+    free = np.concatenate([neurons.bent, _touching(sheet.faces, neurons.bent, count)[len(neurons.bent) :]])
+    around = _touching(sheet.faces, free, count)
+    points = data.surface.points[(neurons.owner >= 0) & around[neurons.owner]]
+    limit = _FARTHEST_FIT * config.spacing
+    vertices = fit_to_points(sheet.vertices, sheet.faces, free, points, limit=limit, workers=workers)
+    return _Sheet(vertices, sheet.faces, sheet.submap)
+
+
+def extend(sheet: _Sheet, home: _Sheet, neurons: _Neurons, data: _Data, config: ReconstructionConfig) -> _Sheet:
+    """Phase 4, at borders that stay open: out to where the data ends. What crosses then goes back towards `home`."""
+    # Without a normal a crease vertex moves along its crease only.
+    normals = np.concatenate([neurons.normals, np.zeros((len(sheet.vertices) - len(neurons.normals), 3))])
+    extended = extend_borders(
+        sheet.vertices,
+        sheet.faces,
+        normals,
+        data.surface.points,
+        data.surface.neighbors,
+        neurons.owner,
+        limit=_FARTHEST_EXTENSION * config.spacing,
+    )
+    vertices, sound = remove_crossings(extended, sheet.faces, home.vertices)
+    return _Sheet(vertices, sheet.faces[sound], sheet.submap[sound])
+
+
+def finish(sheet: _Sheet, data: _Data, config: ReconstructionConfig) -> Mesh:
+    """The mesh with small holes closed, one fan of faces a vertex, and without scraps."""
+    grain = _GRAIN * config.spacing
+    # Only where no two fans share a vertex has each hole a border of its own.
+    sheet = _parted(_filled(_parted(sheet, grain), data), grain)
+    large = large_pieces(sheet.vertices, sheet.faces, least_area=_LEAST_PIECE * config.spacing**2)
+    used, number = np.unique(sheet.faces[large], return_inverse=True)
+    return Mesh(sheet.vertices[used], number.reshape(-1, 3).astype(np.int64), sheet.submap[large])
+
+
+def _filled(sheet: _Sheet, data: _Data) -> _Sheet:
+    """The sheet with small holes closed where there is data; a new face takes the submap of a neighbor."""
+    new = fill_small_loops(sheet.vertices, sheet.faces, data.grid, support_distance=data.near)
+    beside = np.zeros(len(sheet.vertices), np.int64)
+    beside[sheet.faces] = sheet.submap[:, None]
+    return _Sheet(sheet.vertices, np.concatenate([sheet.faces, new]), np.concatenate([sheet.submap, beside[new[:, 0]]]))
+
+
+def _parted(sheet: _Sheet, grain: float) -> _Sheet:
+    """The sheet with coordinates in multiples of the grain (m), one fan of faces a vertex, and no crossings.
+
+    The copies of a vertex move into their fans, which may take one through another where that lies around it, and so
+    may rounding. A face is dropped there; it may leave two fans behind, so this is repeated.
+    """
+    while True:
+        vertices, faces, _ = split_pinched(sheet.vertices, sheet.faces)
+        vertices = np.round(vertices / grain) * grain
+        _, sound = remove_crossings(vertices, faces, vertices)
+        if sound.all():
+            return _Sheet(vertices, faces, sheet.submap)
+        sheet = _Sheet(sheet.vertices, sheet.faces[sound], sheet.submap[sound])
+
+
+def _touching(faces: Int, which: Mask, count: int) -> Mask:
+    """Mask (count,) of the vertices that share a face with one of `which`, a mask of all or the first of them."""
+    mask = np.zeros(count, bool)
+    mask[: len(which)] = which
+    mask[faces[mask[faces].any(axis=1)]] = True
+    return mask
