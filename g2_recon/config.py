@@ -206,8 +206,9 @@ class ReconstructionConfig(_Model):
         le=100,
     )
     border_passes: int = _setting(
-        0,
-        "iterative rule: presentations of the border data in the re-optimization; 0: as many as passes",
+        1000,
+        "iterative rule: presentations of the border data in the re-optimization, which the paper does not name; 0: as "
+        "many as passes, for hardly any change",
         ge=0,
         le=1_000_000,
     )

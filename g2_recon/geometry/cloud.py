@@ -37,10 +37,10 @@ class Cloud:
 
     def finite(self) -> Cloud:
         """Without points or sensor positions that are NaN or infinite; itself where there is none."""
-        good = np.asarray(np.isfinite(self.points).all(axis=1))
-        if self.sensor is not None:
-            good &= np.isfinite(self.sensor).all(axis=1)
-        return self if bool(good.all()) else self.select(good)
+        parts = [self.points] if self.sensor is None else [self.points, self.sensor]
+        if all(bool(np.isfinite(part).all()) for part in parts):
+            return self
+        return self.select(np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts]))
 
 
 def concatenate(clouds: Sequence[Cloud]) -> Cloud:

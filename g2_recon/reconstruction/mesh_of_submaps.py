@@ -89,7 +89,7 @@ def mesh_of_submaps(
     # In cells of this size any point of an occupied one is near enough.
     data = _Data(surface, point_grid(surface.points, cell=near / math.sqrt(3)), near)
     neurons = with_data(submaps, owner)
-    cells = sound_cells(neurons, data)
+    cells = sound_cells(neurons, data, workers)
     joined = join(neurons, cells, data, config)
     creased = crease(joined, neurons)
     fitted = fit_bends(creased, neurons, data, config, workers)
@@ -113,7 +113,7 @@ def with_data(submaps: FlatSubmaps, owner: Int) -> _Neurons:
     )
 
 
-def sound_cells(neurons: _Neurons, data: _Data) -> Int:
+def sound_cells(neurons: _Neurons, data: _Data, workers: int) -> Int:
     """The cells (C', 3) that are covered by data, that of their own submap, are not folded and cross no other."""
     cells = neurons.cells
     first, second, third = (neurons.places[cells[:, corner]] for corner in range(3))
@@ -123,7 +123,7 @@ def sound_cells(neurons: _Neurons, data: _Data) -> Int:
     cells = cells[upright & supported(neurons.places, cells, data.grid, data.near)]
     label = np.where(neurons.owner >= 0, neurons.submap[neurons.owner], -1)
     submap = neurons.submap[cells[:, 0]]
-    cells = cells[on_own_data(neurons.places, cells, submap, data.grid, label, data.near)]
+    cells = cells[on_own_data(neurons.places, cells, submap, data.grid, label, data.near, workers)]
     return np.asarray(cells[remove_crossings(neurons.places, cells, neurons.places)[1]])
 
 
@@ -184,7 +184,8 @@ def finish(sheet: _Sheet, data: _Data, config: ReconstructionConfig) -> Mesh:
     """The mesh with small holes closed, one fan of faces a vertex, and without scraps."""
     grain = _GRAIN * config.spacing
     # Only where no two fans share a vertex has each hole a border of its own.
-    sheet = _parted(_filled(_parted(sheet, grain), data), grain)
+    vertices, faces, _ = split_pinched(sheet.vertices, sheet.faces)
+    sheet = _parted(_filled(_Sheet(vertices, faces, sheet.submap), data), grain)
     large = large_pieces(sheet.vertices, sheet.faces, least_area=_LEAST_PIECE * config.spacing**2)
     used, number = np.unique(sheet.faces[large], return_inverse=True)
     return Mesh(sheet.vertices[used], number.reshape(-1, 3).astype(np.int64), sheet.submap[large])

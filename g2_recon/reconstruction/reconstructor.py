@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
@@ -44,7 +45,8 @@ def usable_points(cloud: Cloud, config: ReconstructionConfig) -> tuple[Cloud, di
     good = finite
     if finite.sensor is not None and config.min_sensor_distance > 0:
         distance = np.linalg.norm(finite.points - finite.sensor, axis=1)
-        good = finite.select(distance >= config.min_sensor_distance)
+        near = distance < config.min_sensor_distance
+        good = finite.select(~near) if near.any() else finite
     left_out["nearer to the sensor than min_sensor_distance"] = len(finite) - len(good)
     distinct = len(np.unique(good.points[:_ENOUGH_TO_SEE], axis=0))
     if distinct < FEWEST_POINTS and len(good) > _ENOUGH_TO_SEE:
@@ -60,10 +62,15 @@ def usable_points(cloud: Cloud, config: ReconstructionConfig) -> tuple[Cloud, di
             f"the cloud is {size:.3g} m wide",
             advice="give coordinates in metres, and leave out points that are far off",
         )
-    extent = np.linalg.svd(np.cov((good.points - good.points.mean(axis=0)).T), compute_uv=False)
-    if extent[1] <= 1e-12 * extent[0]:
+    # Where a part of the points is not on one line, neither are all.
+    if _on_one_line(good.points[:_ENOUGH_TO_SEE]) and _on_one_line(good.points):
         raise InputError("all points of the cloud lie on one line", advice="a surface needs points beside it")
     return good, {reason: count for reason, count in left_out.items() if count}
+
+
+def _on_one_line(points: NDArray[np.float64]) -> bool:
+    extent = np.linalg.svd(np.cov((points - points.mean(axis=0)).T), compute_uv=False)
+    return bool(extent[1] <= 1e-12 * extent[0])
 
 
 class Reconstructor:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.point_grid import PointGrid, has_point_near, nearest_point
+from g2_recon.reconstruction.chunks import in_chunks
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -51,7 +52,7 @@ def _supported(vertices, faces, grid, distance):  # type: ignore[no-untyped-def]
 
 
 def on_own_data(
-    vertices: Float, faces: Int, submap: Int, grid: PointGrid, label: Int, distance: float
+    vertices: Float, faces: Int, submap: Int, grid: PointGrid, label: Int, distance: float, workers: int = 1
 ) -> NDArray[np.bool_]:
     """Mask (F,) of the faces (F, 3) for which the point nearest to their middle belongs to their own submap.
 
@@ -60,13 +61,15 @@ def on_own_data(
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     middle = vertices[faces].mean(axis=1)
-    return np.asarray(_on_own_data(middle, submap, grid, label, float(distance)))
+    mask = np.zeros(len(faces), np.bool_)
+    in_chunks(
+        lambda begin, end: _on_own_data(middle, submap, grid, label, distance, begin, end, mask), len(faces), workers
+    )
+    return mask
 
 
 @numba.njit(cache=True, nogil=True)
-def _on_own_data(middle, submap, grid, label, distance):  # type: ignore[no-untyped-def]
-    mask = np.zeros(len(middle), np.bool_)
-    for face in range(len(middle)):
+def _on_own_data(middle, submap, grid, label, distance, begin, end, mask):  # type: ignore[no-untyped-def]
+    for face in range(begin, end):
         nearest = nearest_point(grid, middle[face, 0], middle[face, 1], middle[face, 2], distance)
         mask[face] = nearest >= 0 and label[nearest] == submap[face]
-    return mask

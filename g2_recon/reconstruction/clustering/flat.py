@@ -406,11 +406,19 @@ def _adopted(sample: _Sample, surface: SurfacePoints, label: Int, planes: _Plane
 
 def _fit(sample: _Sample, label: Int, pool: ThreadPoolExecutor) -> _Planes:
     """Planes of the clusters 0 to K - 1; those without points are left out, points with label -1 count for none."""
-    count = int(label.max()) + 1
-    rows = np.flatnonzero(label >= 0)
-    anchor = np.zeros((count, 3))
-    anchor[label[rows]] = sample.points[rows]
+    anchor = _anchors(sample.points, label, int(label.max()) + 1)
     return _planes(_moments(sample, label, anchor, None, pool), anchor)
+
+
+@numba.njit(cache=True, nogil=True)
+def _anchors(points, label, count):  # type: ignore[no-untyped-def]
+    """One of its points (count, 3) for each cluster, the last."""
+    anchor = np.zeros((count, 3))
+    for i in range(len(points)):
+        if label[i] >= 0:
+            for axis in range(3):
+                anchor[label[i], axis] = points[i, axis]
+    return anchor
 
 
 def _trimmed_fit(sample: _Sample, label: Int, noise: float, pool: ThreadPoolExecutor) -> _Planes:
