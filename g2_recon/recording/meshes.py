@@ -30,6 +30,8 @@ _FLOAT_LIMIT = 1e4
 FARTHEST_M = 1e9
 """What is farther away was not measured by a robot on Earth."""
 
+_STL_ORIGIN = b"g2_recon origin m: "
+
 _COORDINATES = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
 
 
@@ -37,20 +39,42 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
     """Write triangles; the ending says how: .ply, .obj, .stl or .glb.
 
     A PLY file has double coordinates and also the submap of each face, as the face property `submap`. STL and GLB
-    files have float coordinates; a warning in the log says so where that is coarser than a millimetre. Raises
-    InputError if the ending is not known, a face names a vertex that is not there, or the file cannot be written.
+    files have float coordinates: far from the origin these are relative to one near the mesh. A GLB file holds it as
+    the place of its node, for every reader; an STL file in its header, which `read_mesh` knows and the log tells.
+    Raises InputError if the ending is not known, a face names a vertex that is not there, or the file cannot be
+    written.
     """
     ending = _ending(path)
     if len(mesh.faces) and not (mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)):
         raise InputError("a face names a vertex that is not there", where=path, advice="this mesh is broken")
-    if ending in _FLOAT_ENDINGS and np.abs(mesh.vertices).max(initial=0.0) > _FLOAT_LIMIT:
-        _log.warning("%s: coordinates above %g m lose millimetres in this kind of file; use .ply", path, _FLOAT_LIMIT)
     if ending == "ply":
         content: Any = _ply_of_mesh(mesh)
+    elif ending in _FLOAT_ENDINGS and np.abs(mesh.vertices).max(initial=0.0) > _FLOAT_LIMIT:
+        content = _relative_to_origin(path, ending, mesh)
     else:
         content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type=ending)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def _relative_to_origin(path: str | Path, ending: str, mesh: Mesh) -> bytes:
+    """A GLB or STL file with coordinates relative to an origin of whole metres, which the file holds."""
+    origin = np.nan_to_num(np.round(np.median(mesh.vertices, axis=0)))
+    near = trimesh.Trimesh(mesh.vertices - origin, mesh.faces, process=False)
+    if ending == "glb":
+        placed = trimesh.Scene()
+        placed.add_geometry(near, transform=trimesh.transformations.translation_matrix(origin))
+        return bytes(placed.export(file_type="glb"))
+    header = _STL_ORIGIN + " ".join(f"{value:.0f}" for value in origin).encode()
+    _log.warning("%s: coordinates are relative to %s m; use .ply or .glb for absolute ones", path, origin.tolist())
+    return bytes(header.ljust(80)[:80] + near.export(file_type="stl")[80:])
+
+
+def _origin_of_stl(content: bytes) -> NDArray[np.float64]:
+    """The origin (3,) m in the header of an STL file; zero where none is told."""
+    if not content.startswith(_STL_ORIGIN):
+        return np.zeros(3)
+    return np.array([float(word) for word in content[len(_STL_ORIGIN) : 80].split()[:3]], float)
 
 
 def write_wire_mesh(path: str | Path, wire: WireMesh) -> None:
@@ -85,7 +109,9 @@ def read_mesh(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
         loaded: Any = trimesh.load_mesh(BytesIO(content), file_type=ending, process=False)
         if ending == "stl":
             loaded.merge_vertices()
-        vertices = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
+        vertices: NDArray[np.float64] = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
+        if ending == "stl":
+            vertices = vertices + _origin_of_stl(content)
         # A cloud has none.
         faces = np.asarray(getattr(loaded, "faces", ()), np.int64).reshape(-1, 3)
     except Exception as error:  # trimesh lets whatever its parsers meet through: KeyError, struct.error, IndexError ...

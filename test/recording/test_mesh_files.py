@@ -48,12 +48,34 @@ def test_a_ply_keeps_double_coordinates(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_mesh(tmp_path / "m.ply")[0], far)
 
 
-@pytest.mark.parametrize(("ending", "is_told"), [(".stl", True), (".glb", True), (".ply", False), (".obj", False)])
-def test_coordinates_that_a_float_cannot_hold_are_told(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, ending: str, is_told: bool
-) -> None:
-    write_mesh(tmp_path / f"m{ending}", Mesh(TETRAHEDRON.vertices + 5e6, TETRAHEDRON.faces, TETRAHEDRON.submap))
-    assert ("lose millimetres" in caplog.text) == is_told
+@pytest.mark.parametrize("ending", [".ply", ".obj", ".stl", ".glb"])
+def test_utm_coordinates_keep_their_millimetres(tmp_path: Path, ending: str) -> None:
+    far = Mesh(TETRAHEDRON.vertices * 1.2345 + (448_262.1, 5_411_932.7, 120.0), TETRAHEDRON.faces, TETRAHEDRON.submap)
+    write_mesh(tmp_path / f"m{ending}", far)
+    vertices, faces = read_mesh(tmp_path / f"m{ending}")
+    corners = np.sort(vertices[faces].reshape(-1, 3), axis=0)
+    # A float of some metres is exact to a micrometre.
+    np.testing.assert_allclose(corners, np.sort(far.vertices[far.faces].reshape(-1, 3), axis=0), rtol=0, atol=1e-5)
+
+
+def test_a_glb_tells_every_reader_where_it_lies(tmp_path: Path) -> None:
+    far = Mesh(TETRAHEDRON.vertices + 5e6, TETRAHEDRON.faces, TETRAHEDRON.submap)
+    write_mesh(tmp_path / "m.glb", far)
+    bounds = trimesh.load_scene(tmp_path / "m.glb").bounds
+    np.testing.assert_allclose(bounds, [far.vertices.min(axis=0), far.vertices.max(axis=0)], rtol=0, atol=1e-5)
+
+
+def test_an_stl_relative_to_an_origin_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_mesh(tmp_path / "m.stl", Mesh(TETRAHEDRON.vertices + 5e6, TETRAHEDRON.faces, TETRAHEDRON.submap))
+    assert "relative to [5000" in caplog.text
+
+
+def test_a_broken_origin_in_an_stl_is_told(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.stl", Mesh(TETRAHEDRON.vertices + 5e6, TETRAHEDRON.faces, TETRAHEDRON.submap))
+    content = (tmp_path / "m.stl").read_bytes()
+    (tmp_path / "m.stl").write_bytes(b"g2_recon origin m: 1 two".ljust(80) + content[80:])
+    with pytest.raises(InputError, match="no sound mesh"):
+        read_mesh(tmp_path / "m.stl")
 
 
 def test_the_header_of_a_ply_is_as_other_readers_expect(tmp_path: Path) -> None:
