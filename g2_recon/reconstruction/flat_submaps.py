@@ -152,7 +152,8 @@ def _groups(sizes: Int) -> list[Int]:
     """Clusters (K,) in groups of about the same number of points, the largest clusters first in each."""
     largest_first = np.argsort(-sizes, kind="stable")
     number = min(len(sizes), _GROUPS)
-    return [largest_first[start::number] for start in range(number)]
+    # Contiguous, so that the kernels are compiled once for all sizes.
+    return [np.ascontiguousarray(largest_first[start::number]) for start in range(number)]
 
 
 @numba.njit(cache=True, nogil=True)
