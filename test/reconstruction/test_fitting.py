@@ -93,7 +93,8 @@ def test_a_free_vertex_without_points_moves_no_farther_than_those_around_it() ->
     fitted = fit_to_points(vertices, faces, everywhere, points[points[:, 2] < 0.8], limit=0.2)
     moved = np.linalg.norm(fitted - vertices, axis=1)
     assert hole.sum() == 5
-    assert moved[hole].max() < np.median(moved[~hole])
+    around = (vertices[:, 2] > 0.6) & ~hole
+    assert moved[hole].max() < moved[around].max()
 
 
 def test_the_result_does_not_depend_on_the_workers() -> None:
