@@ -23,9 +23,9 @@ Mask = NDArray[np.bool_]
 # apart enough that no reader of the mesh merges them again, near enough that nobody sees it.
 _PART = 0.005
 
-# Where the data of a border vertex ends: at this quantile of its points, and this share of the gap between them beyond.
+# Where the data of a border vertex ends: at this quantile of its points, and a gap between them beyond, of which no
+# more counts than this share of the limit.
 _END = 0.98
-_BEYOND = 1.0
 _FARTHEST_BEYOND = 0.35
 
 # What closes a hole may turn away from the surface around it by acos(0.2) = 78 deg.
@@ -152,8 +152,8 @@ def extend_borders(
     Neurons stand amid their data, so the mesh would end half a cell too early. normals: (V, 3), zero at a crease
     vertex. points: (N, 3) m. neighbors: (N, m) points around each, itself for none. owner: (N,) the vertex that each
     point belongs to, or -1. A vertex moves by the 98 % quantile of its points' offsets in the outward direction, and by
-    three quarters of the gap between points in that direction: where the surface ends it does so before one gap more,
-    and in a shadow it goes on. It moves at most by `limit` (m); with fewer than three points it stays. A crease vertex
+    the gap between points in that direction: where the surface ends it does so before one gap more, and in a shadow it
+    goes on. It moves at most by `limit` (m); with fewer than three points it stays. A crease vertex
     goes along its crease as far as its neighbors on the border go.
     """
     border = border_half_edges(faces, len(vertices))
@@ -164,7 +164,7 @@ def extend_borders(
     offset = np.einsum("ni,ni->n", points[rows] - vertices[mine], outward[mine])
     end, count = _quantiles(offset, mine, _END, len(vertices))
     gap = _gaps(points, neighbors, rows, mine, outward)
-    beyond = np.minimum(_BEYOND * gap, _FARTHEST_BEYOND * limit)
+    beyond = np.minimum(gap, _FARTHEST_BEYOND * limit)
     length = np.where(count >= 3, np.minimum(np.maximum(end, 0) + beyond, limit), 0)
     step = length[:, None] * outward
     crease = (normals == 0).all(axis=1)
