@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 
 import numpy as np
 import rclpy
@@ -50,6 +53,34 @@ def run(create: Callable[[], Node], args: Sequence[str] | None, *, threads: int 
     0 after SIGINT, SIGTERM, a shutdown or a finished node; 1, with one line, where the node cannot start because of
     what it was given.
     """
+    with _interrupted_once():
+        return _run(create, args, threads)
+
+
+class _Interrupted(BaseException):
+    """SIGINT, in place of KeyboardInterrupt.
+
+    Python ends as if nobody had caught it where a KeyboardInterrupt passes through `exec`, as dataclasses call it in
+    imports.
+    """
+
+
+@contextmanager
+def _interrupted_once() -> Iterator[None]:
+    """Let SIGINT raise _Interrupted, once: it must not break the ending that it has begun."""
+
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        signal.signal(number, lambda number, frame: None)
+        raise _Interrupted
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _run(create: Callable[[], Node], args: Sequence[str] | None, threads: int) -> int:
     try:
         rclpy.init(args=None if args is None else list(args))
     except RuntimeError as error:
@@ -69,7 +100,7 @@ def run(create: Callable[[], Node], args: Sequence[str] | None, *, threads: int 
     except G2ReconError as error:
         rclpy.logging.get_logger("g2_recon").fatal(str(error))
         return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except (_Interrupted, ExternalShutdownException):
         pass
     except Exception:
         # A signal ends the context under the hands of a callback; what fails then is no fault.
