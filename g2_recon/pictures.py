@@ -11,16 +11,22 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.transforms import Affine2D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import NDArray
 
 from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.geometry.occupancy_grid import OCCUPIED, UNKNOWN, OccupancyGrid
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.recording.files import atomic_write
 
 Float = NDArray[np.float64]
 
 _WIRE, _JOIN, _PATH = "#24476b", "#d1495b", "viridis"
+_UNKNOWN_GRAY = 0.8
+_MARGIN = 0.03
+# A grid is drawn with at most so many dots on a side, about as many as the picture has.
+_GRID_DOTS = 1000
 # Light from above the left shoulder of the viewer, and how bright a face away from it still is.
 _LIGHT = np.array([-0.35, -0.5, 0.79])
 _AMBIENT = 0.35
@@ -28,12 +34,19 @@ _AMBIENT = 0.35
 _CEILING = -0.7
 
 
-def draw_floor_plan(path: str | Path, point_map: Float, trajectory: Trajectory) -> None:
-    """The point map (N, 2) from above with the way of the robot in it, colored by time; axes in metres."""
-    shown = np.vstack([point_map, trajectory.positions[:, :2]])
+def draw_floor_plan(
+    path: str | Path, point_map: Float, trajectory: Trajectory, grid: OccupancyGrid | None = None
+) -> None:
+    """The point map (N, 2) from above with the way of the robot in it, colored by time; axes in metres.
+
+    Under it goes the occupancy grid, where there is one: free white, occupied black, unknown gray.
+    """
+    shown = np.vstack([point_map, trajectory.positions[:, :2], *([] if grid is None else [grid.outline()])])
     size = np.maximum(np.ptp(shown, axis=0), 1.0) if len(shown) else np.ones(2)
     figure = Figure(figsize=(10, float(np.clip(10 * size[1] / size[0], 4, 16))), layout="constrained")
     axes = figure.add_subplot()
+    if grid is not None and grid.cells.size:
+        _draw_grid(axes, grid)
     # A dot stands for a few centimetres of wall, however large the building is.
     axes.scatter(
         point_map[:, 0], point_map[:, 1], s=float(np.clip(4e3 / size.max() ** 2, 0.3, 6)), c="black", linewidths=0
@@ -49,8 +62,33 @@ def draw_floor_plan(path: str | Path, point_map: Float, trajectory: Trajectory) 
         axes.plot(*way[-1], "s", color="tab:red", label="end")
         axes.legend(loc="upper right")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    if grid is not None and grid.cells.size:
+        # An image sets limits of its own, and does not know that it was turned.
+        low, high, margin = shown.min(axis=0), shown.max(axis=0), _MARGIN * size
+        axes.set(xlim=(low[0] - margin[0], high[0] + margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
     axes.set_title(f"{len(way)} scans, {trajectory.length():.1f} m")
     _save(figure, path)
+
+
+def _draw_grid(axes, grid: OccupancyGrid) -> None:  # type: ignore[no-untyped-def]
+    # Of cells that share a dot of the picture the greatest is shown, or thin walls would fade away.
+    height, width = grid.cells.shape
+    step = -(-max(height, width) // _GRID_DOTS)
+    shown = np.maximum.reduceat(grid.cells, np.arange(0, height, step), axis=0)
+    shown = np.maximum.reduceat(shown, np.arange(0, width, step), axis=1)
+    brightness = np.where(shown == UNKNOWN, _UNKNOWN_GRAY, 1 - shown / OCCUPIED)
+    size = step * grid.resolution
+    x, y, yaw = grid.origin
+    axes.imshow(
+        brightness,
+        cmap="gray",
+        vmin=0,
+        vmax=1,
+        origin="lower",
+        interpolation="nearest",
+        extent=(x, x + size * shown.shape[1], y, y + size * shown.shape[0]),
+        transform=Affine2D().rotate_around(x, y, yaw) + axes.transData,
+    )
 
 
 def draw_mesh(path: str | Path, mesh: Mesh, wire: WireMesh) -> None:

@@ -6,6 +6,7 @@ from matplotlib.image import imread
 
 from g2_recon import pictures
 from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.trajectory import Trajectory
 
 NO_MESH = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64), np.empty(0, np.int64))
@@ -30,6 +31,56 @@ def test_a_floor_plan_shows_walls(tmp_path):
 def test_a_floor_plan_of_next_to_nothing_is_drawn(tmp_path, count):
     way = Trajectory.from_se2(np.arange(count), np.zeros((count, 3)))
     pictures.draw_floor_plan(tmp_path / "plan.png", np.zeros((count, 2)), way)
+    assert (tmp_path / "plan.png").stat().st_size > 1000
+
+
+def shares_of_grays(file):
+    """Shares of the picture that are black, gray as the unknown is drawn, and white."""
+    pixels = imread(file)[..., :3]
+    return [np.mean(np.abs(pixels - gray).max(axis=2) < 0.02) for gray in (0.0, 0.8, 1.0)]
+
+
+def test_a_floor_plan_shows_what_is_occupied_free_and_unknown(tmp_path):
+    way = Trajectory.from_se2(np.arange(2.0), np.zeros((2, 3)))
+    black, gray, white = {}, {}, {}
+    for value in (-1, 0, 100):
+        grid = OccupancyGrid(0.05, np.array([-1.0, -2.0, 0.0]), np.full((80, 60), value, np.int8))
+        pictures.draw_floor_plan(tmp_path / "plan.png", np.empty((0, 2)), way, grid)
+        black[value], gray[value], white[value] = shares_of_grays(tmp_path / "plan.png")
+    assert black[100] > 0.5 and gray[-1] > 0.5 and white[0] > 0.5
+    assert max(black[0], black[-1], gray[0], gray[100]) < 0.05
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_thin_walls_of_a_large_grid_stay_black_in_a_floor_plan(tmp_path, axis):
+    cells = np.zeros((4000, 4000), np.int8)
+    cells[(slice(None, None, 100), slice(None))[:: 1 if axis == 0 else -1]] = 100
+    grid = OccupancyGrid(0.05, np.zeros(3), cells)
+    nowhere = Trajectory.from_se2([], np.empty((0, 3)))
+    pictures.draw_floor_plan(tmp_path / "plan.png", np.empty((0, 2)), nowhere, grid)
+    # Away from the axes; a wall each 5 m of 200 m.
+    middle = imread(tmp_path / "plan.png")[300:800, 300:800, :3].max(axis=2)
+    walls = (middle < 0.02).all(axis=1 - axis)
+    assert 15 < np.count_nonzero(np.diff(walls.astype(int)) == 1) < 30
+
+
+def test_a_turned_grid_lies_in_a_floor_plan_where_it_lies_on_the_floor(tmp_path):
+    cells = np.full((10, 40), 100, np.int8)
+    nowhere = Trajectory.from_se2([], np.empty((0, 3)))
+    for name, yaw in (("along", 0.0), ("across", np.pi / 2)):
+        grid = OccupancyGrid(0.1, np.array([5.0, 3.0, yaw]), cells)
+        pictures.draw_floor_plan(tmp_path / f"{name}.png", np.empty((0, 2)), nowhere, grid)
+    for name, shape in (("along", (1, 4)), ("across", (4, 1))):
+        black = imread(tmp_path / f"{name}.png")[..., :3].max(axis=2) < 0.02
+        # Rows and columns that are black for the most part, as those of an axis are not.
+        size = [np.count_nonzero(black.mean(axis=1 - axis) > 0.5 * black.mean(axis=1 - axis).max()) for axis in (0, 1)]
+        assert size[0] / size[1] == pytest.approx(shape[0] / shape[1], rel=0.1), name
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1)])
+def test_a_floor_plan_with_next_to_no_grid_is_drawn(tmp_path, shape):
+    grid = OccupancyGrid(0.05, np.zeros(3), np.zeros(shape, np.int8))
+    pictures.draw_floor_plan(tmp_path / "plan.png", np.empty((0, 2)), Trajectory.from_se2([], np.empty((0, 3))), grid)
     assert (tmp_path / "plan.png").stat().st_size > 1000
 
 

@@ -21,7 +21,8 @@ from geometry_msgs.msg import (
     TransformStamped,
     Vector3,
 )
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import MapMetaData, Odometry, Path
+from nav_msgs.msg import OccupancyGrid as GridMessage
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
@@ -31,6 +32,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
 
@@ -228,6 +230,22 @@ def cloud_to_message(head: Header, cloud: Cloud) -> PointCloud2:
         row_step=step * len(cloud),
         data=_array("B", columns.astype("<f4")),
         is_dense=bool(np.isfinite(columns).all()),
+    )
+
+
+def grid_message(head: Header, grid: OccupancyGrid) -> GridMessage:
+    """The message of an occupancy grid, as made when its header says."""
+    height, width = grid.cells.shape
+    return GridMessage(
+        header=head,
+        info=MapMetaData(
+            map_load_time=head.stamp,
+            resolution=float(grid.resolution),
+            width=width,
+            height=height,
+            origin=pose_message(se3.from_se2(grid.origin)),
+        ),
+        data=_array("b", grid.cells),
     )
 
 

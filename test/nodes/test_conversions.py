@@ -24,6 +24,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.nodes import conversions
@@ -331,3 +332,23 @@ def test_markers_are_drawn_as_they_are():
         assert marker.color.a == 1.0
         assert 0 < marker.scale.x <= 0.1
         assert (marker.lifetime.sec, marker.lifetime.nanosec) == (0, 0)
+
+
+def test_an_occupancy_grid_becomes_a_message_row_by_row_from_its_origin():
+    cells = np.array([[-1, 0, 100], [50, 7, -1]], np.int8)
+    head = Header(stamp=Time(sec=7, nanosec=5), frame_id="map")
+    message = conversions.grid_message(head, OccupancyGrid(0.05, np.array([-1.5, 2.0, np.pi / 2]), cells))
+    assert isinstance(message.data, array.array) and message.data.typecode == "b"
+    back = through_the_wire(message)
+    assert back.header == head and back.info.map_load_time == head.stamp
+    assert (back.info.width, back.info.height) == (3, 2)
+    assert back.info.resolution == np.float32(0.05)
+    assert back.data.tolist() == [-1, 0, 100, 50, 7, -1]
+    origin = conversions.pose_matrix(back.info.origin)
+    np.testing.assert_allclose(origin, se3.from_se2((-1.5, 2.0, np.pi / 2)), atol=1e-12)  # m; rounding
+
+
+def test_a_grid_without_cells_becomes_a_message():
+    grid = OccupancyGrid(0.05, np.zeros(3), np.empty((0, 0), np.int8))
+    message = through_the_wire(conversions.grid_message(HEAD, grid))
+    assert (message.info.width, message.info.height, len(message.data)) == (0, 0, 0)
