@@ -138,6 +138,7 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
         "scans a second": f"{len(result.trajectory) / max(progress.seconds['localization'], 1e-9):,.0f}",
         "way": f"{result.trajectory.length():.1f} m",
         "scans that did not match": result.unmatched,
+        "loops closed": result.loops,
         "jumps of odometry": result.odometry_jumps,
         **{f"dropped: {reason}": count for reason, count in recording.drops.items()},
     }

@@ -68,11 +68,15 @@ class LocalizationConfig(_Model):
     laser_pose: tuple[float, ...] = _pose(
         "pose of the horizontal laser on the robot as x y z roll pitch yaw; empty: as the recording or TF says"
     )
+    method: Literal["graph", "paper"] = _setting(
+        "graph", "graph: smoothing, loop closures, refinement; paper: ICP of each scan against a global point map"
+    )
+    loop_closure: bool = _setting(True, "recognize places and correct the drift since then (method graph)")
     use_odometry: bool = _setting(
         True, "take wheel odometry as the first guess where there is some; else constant velocity"
     )
     min_range: float = _setting(0.1, "nearer returns are the robot itself", "m", ge=0, le=10)
-    max_range: float = _setting(30.0, "farther returns are not used", "m", ge=0.5, le=200)
+    max_range: float = _setting(40.0, "farther returns are not used", "m", ge=0.5, le=200)
     keyframe_distance: float = _setting(
         0.25, "the map grows when the robot has moved this far ...", "m", ge=0.01, le=10
     )

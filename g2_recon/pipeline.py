@@ -22,7 +22,7 @@ from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.recording import Recording
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
-from g2_recon.localization.localizer import Localizer
+from g2_recon.localization.methods import make_localizer
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.reconstructor import Reconstruction, reconstruct
 from g2_recon.recording.clouds import write_cloud
@@ -41,15 +41,18 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Localization:
-    """trajectory: T_map_base of each horizontal scan. point_map: (N, 2). keyframes, unmatched: how many scans.
+    """trajectory: T_map_base of each horizontal scan, as known at the end; causal: as known when the scan came.
 
-    odometry_jumps: between how many scans odometry was not believed.
+    point_map: (N, 2). keyframes, unmatched: how many scans. loops: how many were closed. odometry_jumps: between how
+    many scans odometry was not believed.
     """
 
     trajectory: Trajectory
+    causal: Trajectory
     point_map: Float
     keyframes: int
     unmatched: int
+    loops: int
     odometry_jumps: int
 
 
@@ -89,7 +92,7 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
     if not recording.scans:
         raise InputError("the recording holds no scan of a horizontal laser", advice="name its topic with scan_topic")
     T_base_laser = mounting_pose("localization", settings.laser_pose, recording.T_base_laser)
-    localizer = Localizer(settings, T_base_laser)
+    localizer = make_localizer(settings, T_base_laser, keep_scans=True)
     odometry = odometry_at_scans(recording)
     keyframes = 0
     for index, scan in enumerate(recording.scans):
@@ -108,8 +111,16 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
             localizer.unmatched,
             len(recording.scans),
         )
+    causal = localizer.causal_trajectory()
+    localizer.finish(progress)
     return Localization(
-        localizer.trajectory(), localizer.point_map(), keyframes, localizer.unmatched, localizer.odometry_jumps
+        localizer.trajectory(),
+        causal,
+        localizer.point_map(),
+        keyframes,
+        localizer.unmatched,
+        localizer.loops,
+        localizer.odometry_jumps,
     )
 
 
@@ -199,6 +210,7 @@ def summarize(result: Run) -> dict[str, Any]:
         "version": __version__,
         "scans": len(result.localization.trajectory),
         "unmatched_scans": result.localization.unmatched,
+        "loops": result.localization.loops,
         "odometry_jumps": result.localization.odometry_jumps,
         "path_length_m": round(result.localization.trajectory.length(), 3),
         "vertical_scans": result.registration.scans,

@@ -11,15 +11,15 @@ from g2_recon.evaluation.surface import score_surface
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.geometry.scan import Scan
-from g2_recon.localization.localizer import Localizer
+from g2_recon.localization.methods import make_localizer
+from g2_recon.localization.occupancy import GridBuilder
 from g2_recon.reconstruction.reconstructor import reconstruct
 
 
 def warm_up() -> None:
     """Run every kernel once on a few points; Numba keeps what it compiles on disk."""
-    localizer = Localizer(LocalizationConfig(), np.eye(4))
-    for _ in range(2):
-        localizer.process(Scan(0.0, np.full(181, 2.0, np.float32), -np.pi / 2, np.pi / 180))
+    for method in ("graph", "paper"):
+        _drive_up_and_down(LocalizationConfig(method=method))
     for with_sensor in (True, False):
         cloud = _corner_of_a_room(with_sensor=with_sensor)
         reconstruct(cloud, ReconstructionConfig())
@@ -28,6 +28,24 @@ def warm_up() -> None:
     published = ReconstructionConfig(mode="paper", clusters=4, passes=50)
     for other in ({}, {"training": "batch"}, {"clustering": "neural_gas", "presentations": 100, "passes": 1}):
         reconstruct(cloud, published.model_copy(update=other))
+
+
+def _drive_up_and_down(config: LocalizationConfig) -> None:
+    """Localize in a room of 12 m x 8 m, far enough to close a loop, with one wrong step of the odometry."""
+    localizer = make_localizer(config, np.eye(4), keep_scans=True)
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    cos, sin = np.cos(angles), np.sin(angles)
+    grid = GridBuilder()
+    for index, x in enumerate(np.abs(np.arange(-8.0, 40.0, 0.2) % 16.0 - 8.0)):
+        along = np.where(cos > 0, (11.0 - x) / np.maximum(cos, 1e-9), np.inf)
+        across = np.where(sin > 0, 3.0 / np.maximum(sin, 1e-9), 5.0 / np.maximum(-sin, 1e-9))
+        scan = Scan(0.1 * index, np.minimum(along, across).astype(np.float32), angles[0], angles[1] - angles[0])
+        pose = localizer.process(scan, (x, 0.0, 0.3 if index == 9 else 0.0)).pose
+        if index < 3:
+            grid.add(pose, angles, scan.ranges.astype(float))
+    localizer.finish()
+    localizer.point_map()
+    grid.grid()
 
 
 def _corner_of_a_room(*, with_sensor: bool) -> Cloud:

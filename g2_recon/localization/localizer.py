@@ -1,172 +1,290 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""The localizer: one horizontal scan after the other becomes a pose in the map."""
+"""The localizer: one horizontal scan after the other becomes a pose in a map that closes its loops."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
-from g2_recon.localization.point_map import PointMap
-from g2_recon.localization.scan_matching import MatchResult, beam_normals, match
+from g2_recon.localization import refinement
+from g2_recon.localization.beams import INVALID, SURFACE, Beams, beams
+from g2_recon.localization.keyframes import Keyframes
+from g2_recon.localization.localized_scan import LocalizedScan
+from g2_recon.localization.loop_closure import LoopCloser
+from g2_recon.localization.odometry import OdometrySteps
+from g2_recon.localization.smoothing import Smoother
+from g2_recon.localization.tracking import Placement, Tracker
+from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]
 
-# Fewer beams than this say nothing about a pose in the plane that odometry would not say better.
-_FEWEST_POINTS = 10
-# How uncertain a first guess is: a floor (m, m, rad) and a share of the way and of the turn since the last scan.
-_GUESS_FLOOR = np.array([0.02, 0.02, 0.1])
-_GUESS_SHARE = np.array([0.1, 0.1, 0.2])
-# Without odometry the guess is that nothing has changed since the step before, which a robot that starts, stops or
-# turns refutes.
-_GUESS_FLOOR_WITHOUT_ODOMETRY = np.array([0.1, 0.1, 0.2])
-# The first gate of the match lets through what an uncertain guess moves a point by; a turn does so at 3 m, where the
-# walls of rooms and corridors are.
-_GATE = np.array([3.0, 3.0, 3.0])
-
-# Odometry that claims more than this between two scans has jumped: no robot indoors is that fast.
-_JUMP_M = 0.5
-_FASTEST_M_S = 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class LocalizedScan:
-    """Where the robot was when a scan was taken.
-
-    stamp: s. pose: (3,) x, y, yaw of T_map_base. covariance: (3, 3) of x, y, yaw in the map frame. inliers: share of
-    the beams that fit the map. matched: false where the match was rejected and the pose follows the first guess.
-    keyframe: whether the scan was added to the map.
-    """
-
-    stamp: float
-    pose: Float
-    covariance: Float
-    inliers: float
-    matched: bool
-    keyframe: bool
+# A turn counts as so many metres of way a radian: it lets drift grow as driving does.
+_WAY_PER_RAD = 0.3
+# The way of the robot is cut into local maps so long.
+_LOCAL_MAP_M = 5.0
+_FEWEST_KEYFRAMES = 2
+# After so many scans in a row that do not match, the map goes on in a new segment, as unsure of its place as after so
+# long a way.
+_PATIENCE = 5
+_BREAK_WAY_M = 300.0
+_FEWEST_SURFACES = 10
+# Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
+_STANDING_M, _STANDING_RAD = 0.005, 0.004
 
 
 class Localizer:
-    """Scan-to-map ICP (paper, section 2.2): scan matching combined with a global point map built on the way."""
+    """Tracking, fixed-lag smoothing, loop closures as they come, and refinement at the end."""
 
-    def __init__(self, config: LocalizationConfig, T_base_laser: ArrayLike) -> None:
-        """`T_base_laser`: (4, 4) mounting pose; a laser mounted upside down is one with a roll of pi."""
+    def __init__(self, config: LocalizationConfig, T_base_laser: ArrayLike, *, keep_scans: bool = False) -> None:
+        """`T_base_laser`: (4, 4) mounting pose; a laser mounted upside down is one with a roll of pi.
+
+        keep_scans: keep what `finish` needs to improve every scan; memory then grows with time, not with the map.
+        """
         self._config = config
-        self._T_base_laser = np.asarray(T_base_laser, float)
+        mount = np.asarray(T_base_laser, float)
+        self._T_base_laser = se2.from_se3(mount)
+        self._T_laser_base = se2.inverse(self._T_base_laser)
+        self._upside_down = bool(mount[2, 2] < 0)
+        self._keep_scans = keep_scans
         self.reset()
 
     def reset(self, pose: ArrayLike = se2.IDENTITY) -> None:
         """Forget everything and start a new map with the robot at `pose` (3,) in it."""
-        self._map = PointMap(spacing=self._config.map_spacing, reach=self._config.max_range + 2.0)
+        self._keyframes = Keyframes()
+        self._tracker = Tracker(self._keyframes)
+        self._smoother = Smoother(self._keyframes)
+        self._loops = LoopCloser(self._keyframes)
+        self._odometry = OdometrySteps(self._T_base_laser, use=self._config.use_odometry)
+        self._start = se2.compose(np.array(pose, float), self._T_base_laser)
+        # Of keyframes: index of the scan, step of the wheels from the one before, way driven until there, track lost
+        # on the way there.
+        self._scan_of: list[int] = []
+        self._wheel_steps: list[Float] = []
+        self._ways: list[float] = []
+        self._broken: list[bool] = []
+        self._map_begins = 0
+        self._wheels_since: Float = np.zeros(3)
+        # Of scans: keyframe that it hangs on, pose seen from there; beams, where they are kept.
         self._stamps: list[float] = []
-        self._poses: list[Float] = []
-        self._keyframes: list[int] = []
-        self._start = np.array(pose, float)
-        self._last_step: Float = np.zeros(3)
-        self._odometry: Float | None = None
+        self._owners: list[int] = []
+        self._offsets: list[Float] = []
+        self._causal: list[Float] = []
+        self._scans: list[Beams | None] = []
+        self._last: Float = self._start
+        self._lost = 0
         self._covariance: Float = np.zeros((3, 3))
         self.unmatched = 0
-        self.odometry_jumps = 0
+
+    @property
+    def odometry_jumps(self) -> int:
+        """Between how many scans odometry was not believed."""
+        return self._odometry.jumps
+
+    @property
+    def loops(self) -> int:
+        """How many loops were closed."""
+        return len(self._loops.loops)
 
     def process(self, scan: Scan, odometry: ArrayLike | None = None) -> LocalizedScan:
         """Localize one scan and, where the robot has moved on, add it to the map.
 
         odometry: (3,) x, y, yaw of T_odom_base when the scan was taken; None or NaN where unknown.
         """
-        points, normals = self._points_in_base(scan)
-        guess, sigma = self._first_guess(scan.stamp, odometry)
-        result = self._match(points, normals, guess, sigma)
-        matched = result is not None and result.inliers >= self._config.min_inliers
-        if result is not None and matched:
-            pose, inliers = result.pose, result.inliers
-            self._covariance = np.asarray(np.linalg.inv(result.information), float)
+        seen = beams(
+            scan,
+            range_min=self._config.min_range,
+            range_max=self._config.max_range,
+            upside_down=self._upside_down,
+        )
+        step = self._odometry.step(scan.stamp, odometry)
+        placement = self._place(seen, step)
+        self._wheels_since = se2.compose(self._wheels_since, np.full(3, np.nan) if step is None else step)
+        self._last = placement.pose
+        keyframe = self._grow_map(seen, placement)
+        self._remember(scan.stamp, seen, placement.pose, keyframe=keyframe)
+        # A loop that was closed moves the present pose, too.
+        if keyframe and self._close_loops():
+            self._last = self._keyframes.poses[-1].copy()
+        self._covariance = np.asarray(np.linalg.inv(placement.information + 1e-6 * np.eye(3)), float)
+        pose = se2.compose(self._last, self._T_laser_base)
+        if self._keep_scans:
+            self._causal.append(pose)
+        return LocalizedScan(scan.stamp, pose, self._covariance, placement.inliers, placement.matched, keyframe)
+
+    def _place(self, seen: Beams, step: Float | None) -> Placement:
+        if not len(self._keyframes):
+            matched = np.count_nonzero(seen.kinds == SURFACE) >= _FEWEST_SURFACES
+            return Placement(self._start, 1e6 * np.eye(3), 1.0, 1.0, matched)
+        placement = self._tracker.track(seen, self._last, step)
+        self._lost = 0 if placement.matched else self._lost + 1
+        self.unmatched += not placement.matched
+        return placement
+
+    def _grow_map(self, seen: Beams, placement: Placement) -> bool:
+        """Add the scan if the robot has moved on since the last keyframe; a rejected match would blur the map."""
+        surfaces = np.count_nonzero(seen.kinds == SURFACE)
+        if not len(self._keyframes):
+            if placement.matched:
+                self._add_keyframe(seen, placement.pose, 0.0, broken=False)
+            return placement.matched
+        moved = se2.relative(self._keyframes.poses[-1], placement.pose)
+        way, turn = math.hypot(moved[0], moved[1]), abs(moved[2])
+        if self._lost >= _PATIENCE and surfaces >= _FEWEST_SURFACES:
+            self._finish_local_map()
+            self._tracker.segment = len(self._keyframes)
+            self._add_keyframe(seen, placement.pose, _BREAK_WAY_M, broken=True)
+            self._lost = 0
+            return True
+        if not placement.matched or (way < self._config.keyframe_distance and turn < self._config.keyframe_angle):
+            return False
+        self._add_keyframe(seen, placement.pose, way + _WAY_PER_RAD * turn, broken=False)
+        return True
+
+    def _add_keyframe(self, seen: Beams, pose: Float, way: float, *, broken: bool) -> None:
+        self._keyframes.add(seen, pose)
+        self._scan_of.append(len(self._stamps))
+        self._wheel_steps.append(self._wheels_since)
+        self._wheels_since = np.zeros(3)
+        self._ways.append(way + (self._ways[-1] if self._ways else 0.0))
+        self._broken.append(broken)
+        self._smoother.add(self._wheel_steps[-1], self._tracker.segment)
+        self._tracker.moved()
+        self._last = self._keyframes.poses[-1].copy()
+
+    def _remember(self, stamp: float, seen: Beams, pose: Float, *, keyframe: bool) -> None:
+        if not len(self._keyframes):
+            owner, offset = -1, pose
         else:
-            pose, inliers = guess, 0.0 if result is None else result.inliers
-            self._covariance = self._covariance + np.diag(sigma**2)
-            # The first scan has no map to match.
-            self.unmatched += bool(self._poses)
-        if self._poses:
-            self._last_step = se2.relative(self._poses[-1], pose)
-        self._stamps.append(scan.stamp)
-        self._poses.append(pose)
-        keyframe = self._grow_map(points, normals, pose, matched=matched)
-        return LocalizedScan(scan.stamp, pose, self._covariance, inliers, matched, keyframe)
+            owner = len(self._keyframes) - 1
+            offset = np.zeros(3) if keyframe else se2.relative(self._keyframes.poses[owner], pose)
+        if not self._keep_scans and self._owners and owner == self._owners[-1] and not keyframe:
+            moved = np.abs(offset - self._offsets[-1])
+            if max(moved[0], moved[1]) < _STANDING_M and moved[2] < _STANDING_RAD:
+                return
+        self._stamps.append(stamp)
+        self._owners.append(owner)
+        self._offsets.append(offset)
+        if self._keep_scans:
+            self._scans.append(None if keyframe else seen)
+
+    def _close_loops(self) -> bool:
+        """Where a local map is complete, look for it among the earlier ones; whether the map has moved."""
+        count = len(self._keyframes)
+        begins = self._ways[self._map_begins] if self._map_begins < count else 0.0
+        if self._ways[-1] - begins < _LOCAL_MAP_M:
+            return False
+        new = self._finish_local_map(leave_last=True)
+        if new is None or not self._config.loop_closure:
+            return False
+        before = self._loops.poses.copy()
+        if not self._loops.close(new):
+            return False
+        self._loops.optimize()
+        self._follow(before)
+        return True
+
+    def _finish_local_map(self, *, leave_last: bool = False) -> int | None:
+        first, last = self._map_begins, len(self._keyframes) - leave_last
+        if last - first < _FEWEST_KEYFRAMES:
+            return None
+        self._map_begins = last
+        return self._loops.add(first, last, self._ways[(first + last) // 2])
+
+    def _follow(self, before: Float) -> None:
+        """Move the keyframes as the local maps were moved from their poses (C, 3) before."""
+        poses = self._keyframes.poses
+        for c, local in enumerate(self._loops.maps):
+            last = local.last if c + 1 < len(self._loops.maps) else len(poses)
+            step = se2.compose(self._loops.poses[c], se2.inverse(before[c]))
+            poses[local.first : last] = se2.compose(step, poses[local.first : last])
+        self._tracker.moved()
+
+    def finish(self, progress: Progress = silent) -> None:
+        """Close the loops that are left and refine all poses, as one does after the end of a recording."""
+        if len(self._keyframes) < _FEWEST_KEYFRAMES:
+            return
+        if self._config.loop_closure:
+            self._close_more_loops(progress)
+        poses = refinement.refine(
+            self._keyframes,
+            np.array(self._ways),
+            np.array(self._wheel_steps),
+            np.array(self._broken),
+            progress=progress,
+        )
+        self._keyframes.poses[:] = poses
+        if self._keep_scans:
+            self._refine_scans()
+        self._tracker.moved()
+
+    def _close_more_loops(self, progress: Progress) -> None:
+        """Once all is in place, more places turn out to be the same ones."""
+        new = self._finish_local_map()
+        before = self._loops.poses.copy()
+        if new is not None:
+            self._loops.close(new)
+        for c in range(len(self._loops.maps)):
+            self._loops.close(c, wide=False)
+            progress("loop closure", c + 1, len(self._loops.maps))
+        self._loops.optimize()
+        self._follow(before)
+
+    def _refine_scans(self) -> None:
+        """Match every scan that is no keyframe to the keyframes around it."""
+        keyframes = self._keyframes
+        poses = keyframes.poses
+        guesses = self._scan_poses()
+        owners = np.array(self._owners)
+        rows = np.array([i for i, scan in enumerate(self._scans) if scan is not None and owners[i] >= 0], int)
+        if not len(rows):
+            return
+        near = cKDTree(poses[:, :2]).query(guesses[rows, :2], np.arange(1, min(24, len(poses)) + 1))[1]
+        scans = Keyframes()
+        for row in rows:
+            kept = self._scans[row]
+            assert kept is not None
+            scans.add(kept, guesses[row])
+        points, normals, kinds, _, _ = scans.arrays
+        placed = refinement.place(guesses[rows], owners[rows], near, points, normals, kinds, poses, *keyframes.arrays)
+        offsets = se2.relative(poses[owners[rows]], placed)
+        for row, offset in zip(rows, offsets, strict=True):
+            self._offsets[row] = offset
+
+    def _scan_poses(self) -> Float:
+        """T_map_laser (N, 3) of the scans."""
+        offsets = np.reshape(self._offsets, (-1, 3))
+        owners = np.array(self._owners, int)
+        poses = offsets.copy()
+        hung = owners >= 0
+        poses[hung] = se2.compose(self._keyframes.poses[owners[hung]], offsets[hung])
+        return poses
 
     def trajectory(self) -> Trajectory:
-        """T_map_base of every scan, in the order in which they came."""
-        return Trajectory.from_se2(self._stamps, np.reshape(self._poses, (-1, 3)))
+        """T_map_base of every scan, in the order in which they came, as it is known now."""
+        return Trajectory.from_se2(self._stamps, se2.compose(self._scan_poses(), self._T_laser_base))
+
+    def causal_trajectory(self) -> Trajectory:
+        """T_map_base of every scan as it was known when the scan came; empty if scans are not kept."""
+        return Trajectory.from_se2(self._stamps[: len(self._causal)], np.reshape(self._causal, (-1, 3)))
 
     def keyframes(self) -> Trajectory:
         """T_map_base of the scans that were added to the map."""
-        poses = np.reshape([self._poses[index] for index in self._keyframes], (-1, 3))
-        return Trajectory.from_se2([self._stamps[index] for index in self._keyframes], poses)
+        poses = se2.compose(self._keyframes.poses, self._T_laser_base)
+        return Trajectory.from_se2([self._stamps[index] for index in self._scan_of], poses)
 
     def point_map(self) -> Float:
-        """The points (N, 2) of the map."""
-        return self._map.points.copy()
-
-    def _points_in_base(self, scan: Scan) -> tuple[Float, Float]:
-        """Points (M, 2) of the scan and their normals (M, 2) in the robot frame, projected to the floor.
-
-        Points without a normal lie on no surface: mixed pixels, legs, leaves. They are left out.
-        """
-        planar, beams = scan.points(range_min=self._config.min_range, range_max=self._config.max_range)
-        normals = beam_normals(planar, beams)
-        known = normals.any(axis=1)
-        turn = self._T_base_laser[:2, :2].T
-        return planar[known] @ turn + self._T_base_laser[:2, 3], normals[known] @ turn
-
-    def _first_guess(self, stamp: float, odometry: ArrayLike | None) -> tuple[Float, Float]:
-        """The pose (3,) that odometry predicts, or constant velocity where there is none, and its sigma (3,)."""
-        measured = None if odometry is None or not self._config.use_odometry else np.asarray(odometry, float)
-        if measured is not None and not np.isfinite(measured).all():
-            measured = None
-        last, self._odometry = self._odometry, measured
-        if not self._poses:
-            return self._start, np.zeros(3)
-        if measured is None or last is None:
-            return self._moved_on(self._last_step, _GUESS_FLOOR_WITHOUT_ODOMETRY)
-        step = se2.relative(last, measured)
-        if np.hypot(step[0], step[1]) > _JUMP_M + _FASTEST_M_S * abs(stamp - self._stamps[-1]):
-            self.odometry_jumps += 1
-            return self._moved_on(self._last_step, _GUESS_FLOOR_WITHOUT_ODOMETRY)
-        return self._moved_on(step, _GUESS_FLOOR)
-
-    def _moved_on(self, step: Float, floor: Float) -> tuple[Float, Float]:
-        way = np.hypot(step[0], step[1])
-        return se2.compose(self._poses[-1], step), floor + _GUESS_SHARE * (way, way, abs(step[2]))
-
-    def _match(self, points: Float, normals: Float, guess: Float, sigma: Float) -> MatchResult | None:
-        if len(points) < _FEWEST_POINTS or not len(self._map):
-            return None
-        return match(
-            points,
-            normals,
-            self._map,
-            guess,
-            max_correspondence=max(self._config.max_correspondence, *(_GATE * sigma)),
-            min_correspondence=self._config.min_correspondence,
-            max_iterations=self._config.max_iterations,
-            guess_sigma=sigma,
-        )
-
-    def _grow_map(self, points: Float, normals: Float, pose: Float, *, matched: bool) -> bool:
-        """Add the scan if the robot has moved on since the last keyframe; a rejected match would blur the map."""
-        first = not len(self._map)
-        if not (matched or first) or len(points) < _FEWEST_POINTS:
-            return False
-        if not first:
-            moved = se2.relative(self._poses[self._keyframes[-1]], pose)
-            near = np.hypot(moved[0], moved[1]) < self._config.keyframe_distance
-            if near and abs(moved[2]) < self._config.keyframe_angle:
-                return False
-        self._map.add(se2.transform_points(pose, points), se2.transform_points((0.0, 0.0, pose[2]), normals))
-        self._map.focus(pose[:2])
-        self._keyframes.append(len(self._poses) - 1)
-        return True
+        """The points (N, 2) of the map, thinned to `map_spacing`."""
+        points, _, kinds, _, _ = self._keyframes.arrays
+        poses = self._keyframes.poses
+        scans = [se2.transform_points(poses[k], points[k][kinds[k] != INVALID]) for k in range(len(poses))]
+        cloud = np.concatenate([np.empty((0, 2)), *scans])
+        cell = np.floor(cloud / self._config.map_spacing).astype(np.int64)
+        return cloud[np.sort(np.unique(cell, axis=0, return_index=True)[1])]

@@ -22,7 +22,8 @@ from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import PoseBuffer
-from g2_recon.localization.localizer import LocalizedScan, Localizer
+from g2_recon.localization.localized_scan import LocalizedScan
+from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.nodes import conversions
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
@@ -51,7 +52,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         super().__init__("localizer_node", LocalizerParameters)
         self._transforms = Transforms(self)
         self._mount = LaserMount(self, self.settings.laser_pose, self.settings.base_frame, self._transforms)
-        self._localizer: Localizer | None = None
+        self._localizer: AnyLocalizer | None = None
         self._start: NDArray[np.float64] = se2.IDENTITY
         self._odometry = PoseBuffer()
         self._waiting: deque[_WaitingScan] = deque()
@@ -119,7 +120,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self.drops["scan of a laser with unknown pose"] += 1
             return
         if self._localizer is None:
-            self._localizer = Localizer(self.settings, T_base_laser)
+            self._localizer = make_localizer(self.settings, T_base_laser)
             self._localizer.reset(self._start)
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._waiting.append(_WaitingScan(scan, message.header.stamp, monotonic()))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from g2_recon.geometry import se2
+from g2_recon.localization.paper_matching import beam_normals, match, normal_equations, reject_outliers
 from g2_recon.localization.point_map import PointMap
-from g2_recon.localization.scan_matching import beam_normals, match, normal_equations, reject_outliers
 
 LIMITS = {"max_correspondence": 0.5, "min_correspondence": 0.1, "max_iterations": 50}
 

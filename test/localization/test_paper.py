@@ -6,7 +6,7 @@ import pytest
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.scan import Scan
-from g2_recon.localization.localizer import Localizer
+from g2_recon.localization.paper import PaperLocalizer
 
 FORWARD = np.array([0.02, 0.0, 0.01])
 
@@ -20,7 +20,7 @@ def drive(steps=150, step=FORWARD):
 
 
 def localize(scans, odometry=None, **settings):
-    localizer = Localizer(LocalizationConfig(**settings), np.eye(4))
+    localizer = PaperLocalizer(LocalizationConfig(**settings), np.eye(4))
     results = [
         localizer.process(scan, None if odometry is None else odometry[index]) for index, scan in enumerate(scans)
     ]
@@ -105,14 +105,14 @@ def test_a_rejected_scan_does_not_enter_the_map(scan_of_room):
 def test_a_laser_off_the_center_of_the_robot_gives_the_pose_of_the_robot(scan_of_room):
     T_base_laser = se3.from_xyz_rpy([0.2, 0.1, 0.4, 0, 0, 0.3])
     truth = drive(80)
-    localizer = Localizer(LocalizationConfig(), T_base_laser)
+    localizer = PaperLocalizer(LocalizationConfig(), T_base_laser)
     scans = [scan_of_room(se2.compose(pose, se2.from_se3(T_base_laser))) for pose in truth]
     assert errors([localizer.process(scan) for scan in scans], truth).max() < 0.02
 
 
 def test_a_laser_mounted_upside_down_gives_the_pose_of_the_robot(scan_of_room):
     truth = drive(80)
-    localizer = Localizer(LocalizationConfig(), se3.from_xyz_rpy([0, 0, 0.4, np.pi, 0, 0]))
+    localizer = PaperLocalizer(LocalizationConfig(), se3.from_xyz_rpy([0, 0, 0.4, np.pi, 0, 0]))
     scans = [scan_of_room(pose, upside_down=True) for pose in truth]
     assert errors([localizer.process(scan) for scan in scans], truth).max() < 0.02
 

@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Planar transforms (3,) x, y (m), yaw (rad) for use inside Numba kernels; `se2` holds the same for arrays."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+
+@numba.njit(cache=True, nogil=True)
+def wrap(angle: float) -> float:
+    """The angle in rad brought into [-pi, pi)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+@numba.njit(cache=True, nogil=True)
+def compose(T_a_b: Float, T_b_c: Float) -> Float:
+    """T_a_c."""
+    cos, sin = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    result = np.empty(3)
+    result[0] = T_a_b[0] + cos * T_b_c[0] - sin * T_b_c[1]
+    result[1] = T_a_b[1] + sin * T_b_c[0] + cos * T_b_c[1]
+    result[2] = wrap(T_a_b[2] + T_b_c[2])
+    return result
+
+
+@numba.njit(cache=True, nogil=True)
+def relative(T_a_b: Float, T_a_c: Float) -> Float:
+    """T_b_c."""
+    cos, sin = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    x, y = T_a_c[0] - T_a_b[0], T_a_c[1] - T_a_b[1]
+    result = np.empty(3)
+    result[0] = cos * x + sin * y
+    result[1] = -sin * x + cos * y
+    result[2] = wrap(T_a_c[2] - T_a_b[2])
+    return result

@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""The keyframes: scans that the map is made of, in arrays that grow."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g2_recon.localization.beams import Beams
+
+Float = NDArray[np.float64]
+
+_FEWEST_ROWS = 256
+
+
+class Keyframes:
+    """Beams and poses of keyframes, in the order in which they were taken.
+
+    All arrays have a row a keyframe; rows beyond `len` are not in use. Scans with fewer beams than the largest end in
+    invalid ones.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._allocate(_FEWEST_ROWS, 1)
+
+    def _allocate(self, rows: int, beams: int) -> None:
+        self._poses = np.zeros((rows, 3))
+        self._points = np.zeros((rows, beams, 2))
+        self._normals = np.zeros((rows, beams, 2))
+        self._kinds = np.zeros((rows, beams), np.uint8)
+        self._firsts = np.zeros(rows)
+        self._increments = np.ones(rows)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def poses(self) -> Float:
+        """T_map_laser (N, 3) of the keyframes; written to by whoever improves them."""
+        return self._poses[: self._count]
+
+    @property
+    def arrays(self) -> tuple[Float, Float, NDArray[np.uint8], Float, Float]:
+        """Points (N, B, 2), normals (N, B, 2), kinds (N, B), firsts (N,), increments (N,): see Beams."""
+        n = self._count
+        return self._points[:n], self._normals[:n], self._kinds[:n], self._firsts[:n], self._increments[:n]
+
+    def add(self, beams: Beams, pose: Float) -> int:
+        """Add a scan with its pose (3,); the index of the new keyframe."""
+        count = len(beams.points)
+        rows, width = self._kinds.shape
+        if self._count == rows or count > width:
+            self._grow(2 * rows if self._count == rows else rows, max(count, width))
+        index = self._count
+        self._poses[index] = pose
+        self._points[index, :count] = beams.points
+        self._normals[index, :count] = beams.normals
+        self._kinds[index, :count] = beams.kinds
+        self._kinds[index, count:] = 0
+        self._firsts[index], self._increments[index] = beams.first, beams.increment
+        self._count += 1
+        return index
+
+    def _grow(self, rows: int, beams: int) -> None:
+        old = self._poses, self._points, self._normals, self._kinds, self._firsts, self._increments
+        width, used = self._kinds.shape[1], self._count
+        self._allocate(rows, beams)
+        self._poses[:used] = old[0][:used]
+        self._points[:used, :width] = old[1][:used]
+        self._normals[:used, :width] = old[2][:used]
+        self._kinds[:used, :width] = old[3][:used]
+        self._firsts[:used] = old[4][:used]
+        self._increments[:used] = old[5][:used]

@@ -1,0 +1,342 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Loop closures: places that the robot has come back to, found by their look and checked before they are believed.
+
+The way of the robot is cut into local maps of some metres each. Whenever one is complete, it is looked for in the
+earlier ones: branch and bound over the window that the drift so far allows, then ICP of all its scans. A closure must
+have enough inliers, must not place points where the other local map saw free space, keeps no information along a
+direction in which the place repeats itself, and must agree with the graph of all others in a trial solution.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from g2_recon.geometry import se2
+from g2_recon.geometry.se2_kernels import compose, relative, wrap
+from g2_recon.localization import branch_and_bound, pose_graph
+from g2_recon.localization.branch_and_bound import Pyramid
+from g2_recon.localization.keyframes import Keyframes
+from g2_recon.localization.pairing import accumulate, agreement
+
+Float = NDArray[np.float64]
+
+_RESOLUTION_M, _SIGMA_M = 0.1, 0.1
+# A local map is looked for with this many of its points, from so near, thinned to such cells.
+_QUERY_POINTS, _QUERY_RANGE_M, _QUERY_CELL_M = 500, 15.0, 0.15
+_MAP_RANGE_M, _MAP_CELL_M = 20.0, 0.05
+_TURN_STEP = math.radians(0.75)
+
+# The window grows with the way along the graph, in m and rad, and ends somewhere.
+_WINDOW_M, _WINDOW_SHARE, _WIDEST_WINDOW_M = 2.0, 0.04, 25.0
+_WINDOW_RAD, _WINDOW_RAD_PER_M, _WIDEST_WINDOW_RAD = math.radians(6), math.radians(0.15), math.radians(40)
+_LOOP_WAY_M = 0.5
+_LEAST_WAY_M = 15.0
+_MOST_TRIED, _ENOUGH_FOUND = 40, 2
+
+_LEAST_SCORE = 0.55
+_LEAST_INLIERS = 0.6
+_LEAST_AGREEMENT = 0.8
+_FARTHEST_ICP_M = 0.6
+_RIVAL = 0.85
+_AMBIGUOUS = 1e-5
+
+_LOOP_SIGMA_M, _LOOP_SIGMA_RAD = 0.05, 0.01
+_KERNEL = 16.0
+_MOST_COST = 25.0
+_MOST_DEVIATION = 16.0
+
+
+@dataclass(frozen=True, slots=True)
+class LocalMap:
+    """The keyframes from `first` to before `last`; its frame is that of keyframe `reference`.
+
+    way: m driven until there. query: (N, 2) points in its frame to look for it with.
+    """
+
+    first: int
+    last: int
+    reference: int
+    way: float
+    query: Float
+
+
+class LoopCloser:
+    """Local maps, the graph of them, and their poses in the map."""
+
+    def __init__(self, keyframes: Keyframes) -> None:
+        self._keyframes = keyframes
+        self.maps: list[LocalMap] = []
+        self.poses: Float = np.empty((0, 3))
+        self._sequence: list[tuple[Float, Float]] = []
+        self.loops: list[tuple[int, int, Float, Float]] = []
+        self._pyramids: dict[int, Pyramid] = {}
+        self._cost = 0.0
+        self.rejected = self.ambiguous = self.tried = 0
+
+    def add(self, first: int, last: int, way: float) -> int:
+        """Close a local map of keyframes whose poses are final relative to each other."""
+        poses = self._keyframes.poses
+        reference = (first + last) // 2
+        query = self._cloud(range(first, last), poses[reference], _QUERY_RANGE_M, _QUERY_CELL_M)
+        order = np.random.default_rng(0).permutation(len(query))
+        new = LocalMap(first, last, reference, way, query[order[:_QUERY_POINTS]])
+        if self.maps:
+            before = self.maps[-1]
+            length = max(way - before.way, 1e-3)
+            # In the frame of the one before.
+            T = se2.relative(poses[before.reference], poses[reference])
+            sigma = np.array([0.02 + 0.02 * length] * 2 + [0.03 * math.sqrt(length / 5 + 0.05)])
+            self._sequence.append((T, np.diag(1 / sigma**2)))
+        self.maps.append(new)
+        self.poses = np.vstack([self.poses, poses[reference]])
+        return len(self.maps) - 1
+
+    def _cloud(self, keyframes, base, farthest, cell) -> Float:  # type: ignore[no-untyped-def]
+        points, _, kinds, _, _ = self._keyframes.arrays
+        poses = self._keyframes.poses
+        parts = []
+        for k in keyframes:
+            near = (kinds[k] > 0) & (np.hypot(points[k, :, 0], points[k, :, 1]) < farthest)
+            parts.append(se2.transform_points(se2.relative(base, poses[k]), points[k][near]))
+        cloud = np.concatenate(parts) if parts else np.empty((0, 2))
+        cells = np.floor(cloud / cell).astype(np.int64)
+        return cloud[np.sort(np.unique(cells[:, 0] * 4_000_037 + cells[:, 1], return_index=True)[1])]
+
+    def _pyramid(self, c: int) -> Pyramid:
+        if c not in self._pyramids:
+            around = range(self.maps[max(0, c - 1)].first, self.maps[min(len(self.maps) - 1, c + 1)].last)
+            cloud = self._cloud(around, self._keyframes.poses[self.maps[c].reference], _MAP_RANGE_M, _MAP_CELL_M)
+            made = branch_and_bound.pyramid(cloud, resolution=_RESOLUTION_M, sigma=_SIGMA_M)
+            if c + 1 >= len(self.maps):
+                return made
+            self._pyramids[c] = made
+        return self._pyramids[c]
+
+    def _ways(self, c: int) -> Float:
+        """Shortest way (C,) in m along the graph from local map c to the earlier ones."""
+        ways = np.array([m.way for m in self.maps])
+        steps = np.diff(ways)
+        beside: dict[int, list[tuple[int, float]]] = {}
+        for a, b, _, _ in self.loops:
+            beside.setdefault(a, []).append((b, _LOOP_WAY_M))
+            beside.setdefault(b, []).append((a, _LOOP_WAY_M))
+        far = np.full(len(self.maps), np.inf)
+        far[c] = 0.0
+        heap = [(0.0, c)]
+        while heap:
+            d, u = heapq.heappop(heap)
+            if d > far[u]:
+                continue
+            near = beside.get(u, [])
+            if u:
+                near = [*near, (u - 1, steps[u - 1])]
+            if u + 1 < len(self.maps):
+                near = [*near, (u + 1, steps[u])]
+            for v, length in near:
+                if v <= c and d + length < far[v]:
+                    far[v] = d + length
+                    heapq.heappush(heap, (d + length, v))
+        return far
+
+    def close(self, c: int, *, wide: bool = True) -> int:
+        """Look for local map c among the earlier ones; how many loops were closed."""
+        ways = np.array([m.way for m in self.maps])
+        if wide:
+            drift = self._ways(c)
+            window = np.clip(_WINDOW_M + _WINDOW_SHARE * drift, 0, _WIDEST_WINDOW_M)
+            turn = np.clip(_WINDOW_RAD + _WINDOW_RAD_PER_M * drift, 0, _WIDEST_WINDOW_RAD)
+        else:
+            window = np.full(len(self.maps), 1.5)
+            turn = np.full(len(self.maps), math.radians(5))
+        distance = np.hypot(*(self.poses[:, :2] - self.poses[c, :2]).T)
+        known = {(a, b) for a, b, _, _ in self.loops}
+        candidates = [
+            j
+            for j in range(c - 2)
+            if ways[c] - ways[j] > _LEAST_WAY_M and distance[j] < window[j] + 4.0 and (j, c) not in known
+        ]
+        candidates.sort(key=lambda j: distance[j] / (window[j] + 5.0))
+        found = 0
+        used: list[int] = []
+        for j in candidates[: _MOST_TRIED if wide else 4]:
+            if any(abs(j - u) <= 1 for u in used):
+                continue
+            used.append(j)
+            self.tried += 1
+            loop = self._register(c, j, window[j], turn[j])
+            if loop is not None and self._accept(j, c, *loop):
+                found += 1
+                if found >= _ENOUGH_FOUND:
+                    break
+        return found
+
+    def _register(self, c: int, j: int, window: float, turn: float) -> tuple[Float, Float] | None:
+        """T_j_c and its information, or None where c does not fit on j."""
+        target = self._pyramid(j)
+        guess = se2.relative(self.poses[j], self.poses[c])
+        half = np.arange(0, turn + 1e-9, _TURN_STEP)
+        turns = np.concatenate([[0.0], *[[-t, t] for t in half[1:]]])
+        query = self.maps[c].query
+        if len(query) < 50:
+            return None
+        start, score = branch_and_bound.find(
+            target.levels, target.corner, target.resolution, query, guess, window, turns, _LEAST_SCORE
+        )
+        if score < 0:
+            return None
+        one, other = self.maps[c], self.maps[j]
+        moving = np.arange(one.first, one.last, 2)
+        fixed = np.arange(self.maps[max(0, j - 1)].first, self.maps[min(len(self.maps) - 1, j + 1)].last, 2)
+        poses = self._keyframes.poses
+        moving_poses = se2.relative(poses[one.reference], poses[moving])
+        fixed_poses = se2.relative(poses[other.reference], poses[fixed])
+        T, inliers, hessian, _count, same, against = register(
+            start, moving, moving_poses, fixed, fixed_poses, *self._keyframes.arrays, 3
+        )
+        if inliers < _LEAST_INLIERS or math.hypot(*(T - start)[:2]) > _FARTHEST_ICP_M:
+            return None
+        if same < _LEAST_AGREEMENT * (same + against):
+            self.rejected += 1
+            return None
+        values, vectors = np.linalg.eigh(hessian[:2, :2])
+        shape = hessian[:2, :2] / max(values[1], 1e-9)
+        weak = np.ascontiguousarray(vectors[:, 0])
+        if (
+            branch_and_bound.rival(target.levels, target.corner, target.resolution, query, T, weak, max(4.0, window))
+            > _RIVAL
+        ):
+            self.ambiguous += 1
+            shape = vectors @ np.diag([_AMBIGUOUS, 1.0]) @ vectors.T
+        information = np.zeros((3, 3))
+        information[:2, :2] = shape / _LOOP_SIGMA_M**2
+        information[2, 2] = 1 / _LOOP_SIGMA_RAD**2
+        return T, information
+
+    def _edges(self, extra: list[tuple[int, int, Float, Float]]) -> pose_graph.Edges:
+        loops = [*self.loops, *extra]
+        n = len(self._sequence)
+        first = np.array([*range(1, n + 1), *[b for _, b, _, _ in loops]], np.int64)
+        second = np.array([*range(n), *[a for a, _, _, _ in loops]], np.int64)
+        T = np.array([*[s[0] for s in self._sequence], *[loop[2] for loop in loops]]).reshape(-1, 3)
+        information = np.array([*[s[1] for s in self._sequence], *[loop[3] for loop in loops]]).reshape(-1, 3, 3)
+        return pose_graph.measured(first, second, T, information)
+
+    def _accept(self, j: int, c: int, T: Float, information: Float) -> bool:
+        """Believe a loop if the graph with it, the loop itself not doubted, costs little more than without."""
+        new = (j, c, T, information)
+        poses, cost, squared = self._solved([new], trust_last=True, rounds=8)
+        if cost - self._cost < _MOST_COST and squared[-1] < _MOST_DEVIATION:
+            self.poses = poses
+            self._cost = cost
+            self.loops.append(new)
+            return True
+        self.rejected += 1
+        return False
+
+    def _solved(self, extra, *, trust_last: bool, rounds: int) -> tuple[Float, float, Float]:  # type: ignore[no-untyped-def]
+        edges = self._edges(extra)
+        robust = np.arange(len(edges)) >= len(self._sequence)
+        if trust_last:
+            robust[-1] = False
+        poses = self.poses
+        weights: Float = np.ones(len(edges))
+        for _ in range(rounds):
+            _, _, squared = pose_graph.linearize(
+                poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, weights
+            )
+            weights = np.where(robust, (_KERNEL / (_KERNEL + squared)) ** 2, 1.0)
+            before = poses
+            poses, _ = pose_graph.solve(poses, edges, weights=weights)
+            if np.abs(poses - before).max() < 1e-4:
+                break
+        _, _, squared = pose_graph.linearize(
+            poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, weights
+        )
+        cost = np.where(robust, _KERNEL * squared / (_KERNEL + squared), squared).sum()
+        return poses, float(cost), squared
+
+    def optimize(self) -> None:
+        """Solve the graph with all loops doubted alike."""
+        if self.loops:
+            self.poses, self._cost, _ = self._solved([], trust_last=False, rounds=20)
+
+
+@numba.njit(cache=True, nogil=True)
+def register(T, moving, moving_poses, fixed, fixed_poses, points, normals, kinds, firsts, increments, step):  # type: ignore[no-untyped-def]
+    """ICP of one rigid group of keyframes on another: T, inliers, hessian, beams in view, agreement, contradiction."""
+    T = T.copy()
+    iterations = 10
+    hessian = np.zeros((3, 3))
+    inliers = seen = 0
+    for iteration in range(iterations):
+        share = min(1.0, iteration / (iterations - 3))
+        distance = 0.4 * (0.2 / 0.4) ** share
+        sigma = 0.15 * (0.06 / 0.15) ** share
+        hessian[:] = 0.0
+        gradient = np.zeros(3)
+        inliers = seen = 0
+        for k in range(len(moving)):
+            at = compose(T, moving_poses[k])
+            a = moving[k]
+            for m in range(len(fixed)):
+                if math.hypot(at[0] - fixed_poses[m, 0], at[1] - fixed_poses[m, 1]) > 6.0:
+                    continue
+                b = fixed[m]
+                one = np.zeros((3, 3))
+                pull = np.zeros(3)
+                more, viewed = accumulate(
+                    relative(fixed_poses[m], at),
+                    points[a],
+                    normals[a],
+                    kinds[a],
+                    points[b],
+                    normals[b],
+                    kinds[b],
+                    firsts[b],
+                    increments[b],
+                    distance,
+                    sigma,
+                    step,
+                    False,
+                    one,
+                    pull,
+                )
+                inliers += more
+                seen += viewed
+                # A step of T, seen from keyframe b.
+                cos, sin = math.cos(fixed_poses[m, 2]), math.sin(fixed_poses[m, 2])
+                x, y = at[0] - T[0], at[1] - T[1]
+                J = np.array([[cos, sin, -cos * y + sin * x], [-sin, cos, sin * y + cos * x], [0.0, 0.0, 1.0]])
+                hessian += J.T @ one @ J
+                gradient += J.T @ pull
+        if seen < 50:
+            return T, 0.0, hessian, seen, 0, 0
+        change = np.linalg.solve(hessian + 1e-3 * np.eye(3), gradient)
+        T -= change
+        T[2] = wrap(T[2])
+    same = against = 0
+    for k in range(0, len(moving), 2):
+        at = compose(T, moving_poses[k])
+        a = moving[k]
+        for m in range(0, len(fixed), 2):
+            if math.hypot(at[0] - fixed_poses[m, 0], at[1] - fixed_poses[m, 1]) > 6.0:
+                continue
+            b = fixed[m]
+            p, q = agreement(
+                relative(fixed_poses[m], at), points[a], kinds[a], points[b], kinds[b], firsts[b], increments[b], step
+            )
+            same += p
+            against += q
+            p, q = agreement(
+                relative(at, fixed_poses[m]), points[b], kinds[b], points[a], kinds[a], firsts[a], increments[a], step
+            )
+            same += p
+            against += q
+    return T, inliers / max(seen, 1), hessian, seen, same, against

@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Wheel odometry from scan to scan, as far as it can be believed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from g2_recon.geometry import se2
+
+Float = NDArray[np.float64]
+
+# Odometry that claims more than this between two scans has jumped: no robot indoors is that fast.
+_JUMP_M = 0.5
+_FASTEST_M_S = 5.0
+
+
+class OdometrySteps:
+    """Steps (3,) of the laser between scans."""
+
+    def __init__(self, T_base_laser: Float, *, use: bool) -> None:
+        """T_base_laser: (3,); without `use` there is no odometry."""
+        self._T_base_laser = T_base_laser
+        self._use = use
+        self._last: Float | None = None
+        self._stamp = np.nan
+        self.jumps = 0
+
+    def step(self, stamp: float, odometry: ArrayLike | None) -> Float | None:
+        """The step to the scan at `stamp` s, where T_odom_base is `odometry` (3,); None where it is not known."""
+        measured = None if odometry is None or not self._use else np.asarray(odometry, float)
+        if measured is not None and not np.isfinite(measured).all():
+            measured = None
+        last, elapsed = self._last, abs(stamp - self._stamp)
+        self._last, self._stamp = measured, stamp
+        if measured is None or last is None:
+            return None
+        step = se2.relative(se2.compose(last, self._T_base_laser), se2.compose(measured, self._T_base_laser))
+        moved = se2.relative(last, measured)
+        if np.hypot(moved[0], moved[1]) > _JUMP_M + _FASTEST_M_S * elapsed:
+            self.jumps += 1
+            return None
+        return step

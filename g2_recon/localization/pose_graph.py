@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""A pose graph whose edges are quadratic: what two scans say about each other, and what the wheels say.
+
+An edge holds the transform T_j_i at which it was measured, and the cost of leaving it: with d the step from there,
+d^T H d / 2 + g^T d. A direction that the scans do not determine, such as along a bare corridor, has no cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import scipy.sparse as sparse
+import scipy.sparse.linalg as sparse_linalg
+from numpy.typing import NDArray
+
+from g2_recon.geometry.se2_kernels import relative, wrap
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+_HELD = 1e8
+
+
+@dataclass(frozen=True, slots=True)
+class Edges:
+    """M edges between poses: T_j_i (M, 3) of i = first (M,), j = second (M,), with hessians and gradients there."""
+
+    first: Int
+    second: Int
+    T: Float
+    hessians: Float
+    gradients: Float
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def __getitem__(self, rows: NDArray[np.generic] | slice) -> Edges:
+        return Edges(self.first[rows], self.second[rows], self.T[rows], self.hessians[rows], self.gradients[rows])
+
+
+def measured(first: Int, second: Int, T: Float, information: Float) -> Edges:
+    """Edges that pull towards T_j_i (M, 3) with an information (M, 3, 3)."""
+    return Edges(first, second, T, information, np.zeros((len(T), 3)))
+
+
+def joined(*parts: Edges) -> Edges:
+    """All edges of the parts."""
+    return Edges(
+        np.concatenate([p.first for p in parts]),
+        np.concatenate([p.second for p in parts]),
+        np.concatenate([p.T for p in parts]),
+        np.concatenate([p.hessians for p in parts]),
+        np.concatenate([p.gradients for p in parts]),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def linearize(poses, first, second, T, hessians, gradients, weights):  # type: ignore[no-untyped-def]
+    """Blocks (M, 6, 6) and (M, 6) of the normal equations for i then j, and squared deviations (M,) d^T H d."""
+    count = len(first)
+    blocks = np.empty((count, 6, 6))
+    pulls = np.empty((count, 6))
+    squared = np.empty(count)
+    J = np.zeros((3, 6))
+    for m in range(count):
+        i, j = first[m], second[m]
+        now = relative(poses[j], poses[i])
+        d = now - T[m]
+        d[2] = wrap(d[2])
+        cos, sin = np.cos(poses[j, 2]), np.sin(poses[j, 2])
+        J[0, 0], J[0, 1], J[1, 0], J[1, 1] = cos, sin, -sin, cos
+        J[0, 3], J[0, 4], J[1, 3], J[1, 4] = -cos, -sin, sin, -cos
+        J[0, 5], J[1, 5] = now[1], -now[0]
+        J[2, 2], J[2, 5] = 1.0, -1.0
+        slope = hessians[m] @ d
+        squared[m] = d @ slope
+        slope = slope + gradients[m]
+        blocks[m] = weights[m] * (J.T @ hessians[m] @ J)
+        pulls[m] = weights[m] * (J.T @ slope)
+    return blocks, pulls, squared
+
+
+def solve(poses: Float, edges: Edges, *, held: int = 0, weights: Float | None = None) -> tuple[Float, Float]:
+    """One Gauss-Newton step: the poses (N, 3) after it, and d^T H d (M,) of the edges before it; `held` stays."""
+    count = len(poses)
+    if weights is None:
+        weights = np.ones(len(edges))
+    blocks, pulls, squared = linearize(
+        poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, weights
+    )
+    rows = np.concatenate([3 * edges.first[:, None] + np.arange(3), 3 * edges.second[:, None] + np.arange(3)], axis=1)
+    diagonal = np.full(3 * count, 1e-6)
+    diagonal[3 * held : 3 * held + 3] = _HELD
+    matrix = sparse.coo_matrix(
+        (blocks.ravel(), (np.repeat(rows, 6, axis=1).ravel(), np.tile(rows, (1, 6)).ravel())),
+        shape=(3 * count, 3 * count),
+    ).tocsc() + sparse.diags(diagonal, format="csc")
+    right = np.bincount(rows.ravel(), pulls.ravel(), 3 * count)
+    factors = sparse_linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    moved = poses - factors.solve(right).reshape(count, 3)
+    moved[:, 2] = (moved[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    return moved, squared
+
+
+@numba.njit(cache=True, nogil=True)
+def solve_window(poses, start, first, second, T, hessians, gradients, rounds):  # type: ignore[no-untyped-def]
+    """Gauss-Newton on the poses from `start` on, dense, all earlier ones held; edges wholly before it do not count.
+
+    Changes poses (N, 3) in place.
+    """
+    size = 3 * (len(poses) - start)
+    weights = np.ones(len(first))
+    for _ in range(rounds):
+        blocks, pulls, _ = linearize(poses, first, second, T, hessians, gradients, weights)
+        matrix = np.zeros((size, size))
+        right = np.zeros(size)
+        for k in range(size):
+            matrix[k, k] = 1e-6
+        for m in range(len(first)):
+            at = (3 * (first[m] - start), 3 * (second[m] - start))
+            for a in range(2):
+                if at[a] < 0:
+                    continue
+                for u in range(3):
+                    right[at[a] + u] += pulls[m, 3 * a + u]
+                for b in range(2):
+                    if at[b] < 0:
+                        continue
+                    for u in range(3):
+                        for v in range(3):
+                            matrix[at[a] + u, at[b] + v] += blocks[m, 3 * a + u, 3 * b + v]
+        step = np.linalg.solve(matrix, right)
+        for k in range(start, len(poses)):
+            for u in range(3):
+                poses[k, u] -= step[3 * (k - start) + u]
+            poses[k, 2] = wrap(poses[k, 2])

@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Multi-view refinement: all keyframes laid on all that saw the same place, at once."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from g2_recon.geometry import se2
+from g2_recon.geometry.se2_kernels import wrap
+from g2_recon.localization import pairing, pose_graph
+from g2_recon.localization.keyframes import Keyframes
+from g2_recon.progress import Progress, silent
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+_SPANS = (1, 2, 3, 5, 8)
+_REACH_M = 4.0
+_MOST_NEIGHBORS = 10
+_APART = 2
+_LEAST_WAY_M = 3.0
+_ROUNDS = 10
+_DISTANCE_M = (1.2, 0.12)
+_SIGMA_M = (0.3, 0.045)
+_LEAST_INLIERS, _FEWEST_INLIERS = 0.4, 30
+_PAIR_SIGMA_M = 0.05
+_WHEEL_WEIGHT, _WHEEL_KERNEL = 25.0, 9.0
+_BROKEN = 1e-6
+
+
+def refine(
+    keyframes: Keyframes, ways: Float, odometry: Float, broken: NDArray[np.bool_], *, progress: Progress = silent
+) -> Float:
+    """The poses (N, 3) of the keyframes after refinement.
+
+    ways: (N,) m driven until there. odometry: (N, 3) the step of the wheels from the keyframe before, NaN: unknown.
+    broken: (N,) where track was lost on the way to a keyframe.
+    """
+    poses = keyframes.poses.copy()
+    smoothed = se2.relative(poses[:-1], poses[1:])
+    wheels = _wheel_edges(smoothed, odometry[1:], broken[1:])
+    first: Int = np.empty(0, np.int64)
+    second: Int = first
+    for done in range(_ROUNDS):
+        if done % 3 == 0:
+            first, second = neighbors(poses, ways)
+        share = min(1.0, done / (_ROUNDS - 3))
+        distance = _DISTANCE_M[0] * (_DISTANCE_M[1] / _DISTANCE_M[0]) ** share
+        sigma = _SIGMA_M[0] * (_SIGMA_M[1] / _SIGMA_M[0]) ** share
+        T, hessians, gradients, counts = pairing.pairs(poses, first, second, *keyframes.arrays, distance, sigma, 1)
+        used = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
+        seen = pose_graph.Edges(first, second, T, hessians, gradients)[used]
+        edges = pose_graph.joined(seen, wheels)
+        weights = np.ones(len(edges))
+        _, _, squared = pose_graph.linearize(
+            poses, wheels.first, wheels.second, wheels.T, wheels.hessians, wheels.gradients, np.ones(len(wheels))
+        )
+        # Wheels that slip or come late are doubted.
+        weights[len(seen) :] = 1 / (1 + squared / (_WHEEL_WEIGHT * _WHEEL_KERNEL))
+        poses, _ = pose_graph.solve(poses, edges, weights=weights)
+        progress("refinement", done + 1, _ROUNDS)
+    return poses
+
+
+def _wheel_edges(smoothed: Float, odometry: Float, broken: NDArray[np.bool_]) -> pose_graph.Edges:
+    """What the wheels say of the way, and the front end of the turn, between keyframes."""
+    known = np.isfinite(odometry).all(axis=1)
+    T = smoothed.copy()
+    T[known, :2] = odometry[known, :2]
+    length, turn = np.hypot(smoothed[:, 0], smoothed[:, 1]), np.abs(smoothed[:, 2])
+    information = np.zeros((len(T), 3, 3))
+    along = np.where(known, _WHEEL_WEIGHT, 1.0) * (_PAIR_SIGMA_M / (0.02 + 0.1 * length)) ** 2
+    information[:, 0, 0] = information[:, 1, 1] = along
+    information[:, 2, 2] = (_PAIR_SIGMA_M / (0.02 + 0.2 * turn)) ** 2
+    information[broken] *= _BROKEN
+    k = np.arange(1, len(T) + 1)
+    return pose_graph.measured(k, k - 1, T, information)
+
+
+def neighbors(poses: Float, ways: Float) -> tuple[Int, Int]:
+    """Pairs of keyframes worth comparing: along the way, and at places visited again."""
+    count = len(poses)
+    first = [np.arange(span, count) for span in _SPANS]
+    second = [np.arange(count - span) for span in _SPANS if span < count]
+    first = [f for f in first if len(f)]
+    pairs = cKDTree(poses[:, :2]).query_pairs(_REACH_M, output_type="ndarray")
+    later, earlier = pairs.max(axis=1), pairs.min(axis=1)
+    again = (later - earlier > max(_SPANS)) & (ways[later] - ways[earlier] > _LEAST_WAY_M)
+    later, earlier = later[again], earlier[again]
+    cost = np.hypot(*(poses[later, :2] - poses[earlier, :2]).T) + np.abs(
+        se2.wrap_angle(poses[later, 2] - poses[earlier, 2])
+    )
+    order = np.lexsort((earlier, cost, later))
+    later, earlier = later[order].astype(np.int64), earlier[order].astype(np.int64)
+    picked = _spread(later, earlier, _MOST_NEIGHBORS, _APART)
+    return np.concatenate([*first, later[picked]]), np.concatenate([*second, earlier[picked]])
+
+
+@numba.njit(cache=True, nogil=True)
+def _spread(later, earlier, most, apart):  # type: ignore[no-untyped-def]
+    """Mask of at most `most` pairs for each `later`, in order, whose earlier ones are more than `apart` apart."""
+    picked = np.zeros(len(later), np.bool_)
+    chosen = np.empty(most, np.int64)
+    count = 0
+    for m in range(len(later)):
+        if m == 0 or later[m] != later[m - 1]:
+            count = 0
+        if count >= most:
+            continue
+        fits = True
+        for c in range(count):
+            if abs(chosen[c] - earlier[m]) <= apart:
+                fits = False
+                break
+        if fits:
+            chosen[count] = earlier[m]
+            count += 1
+            picked[m] = True
+    return picked
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def place(  # type: ignore[no-untyped-def]
+    guesses, owners, near, scan_points, scan_normals, scan_kinds, poses, points, normals, kinds, firsts, increments
+):
+    """Poses (S, 3) of scans matched to fixed keyframes: those around the owner in time, and near (S, K) in space."""
+    result = guesses.copy()
+    count = len(poses)
+    prior = np.diag(np.array([0.8, 0.8, 4.0]))
+    for s in numba.prange(len(guesses)):
+        chosen = np.empty(12, np.int64)
+        m = 0
+        for step in (0, 1, -1, -3, 3):
+            k = owners[s] + step
+            if 0 <= k < count:
+                chosen[m] = k
+                m += 1
+        for k in near[s]:
+            if m >= 12:
+                break
+            if abs(k - owners[s]) <= 3 or abs(wrap(poses[k, 2] - guesses[s, 2])) > 1.6:
+                continue
+            chosen[m] = k
+            m += 1
+        pose, _, _, _ = pairing.match(
+            guesses[s],
+            guesses[s],
+            scan_points[s],
+            scan_normals[s],
+            scan_kinds[s],
+            chosen[:m],
+            poses,
+            points,
+            normals,
+            kinds,
+            firsts,
+            increments,
+            0.2,
+            0.12,
+            0.05,
+            0.045,
+            10,
+            prior,
+        )
+        result[s] = pose
+    return result

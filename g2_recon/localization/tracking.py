@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tracking: one scan after the other laid on the latest keyframes, and whether that can be believed."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g2_recon.geometry import se2
+from g2_recon.localization import likelihood, pairing
+from g2_recon.localization.beams import INVALID, SURFACE, Beams
+from g2_recon.localization.keyframes import Keyframes
+
+Float = NDArray[np.float64]
+
+# The keyframes that a scan is laid on, counted back from the latest; the first few also have to agree with it.
+_REFERENCES = np.array([1, 2, 3, 4, 6, 8, 10, 12, 14, 16])
+_WITNESSES = 5
+# What is drawn into the likelihood grid: so many keyframes, into cells of this size, blurred by this, m.
+_DRAWN = 25
+_RESOLUTION_M, _SIGMA_M = 0.1, 0.12
+_GRID_CELLS = 500
+
+# Search windows around a prediction: turns of 1 deg, cells of 10 cm.
+_TURNS, _TURN, _SHIFTS = 20, math.radians(1.0), 2
+_SEARCH_BEAMS = 90
+
+# Search distance and width of the robust kernel, first to last iteration, m.
+_DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.35, 0.12), (0.08, 0.045), 10
+PAIR_SIGMA_M = 0.05
+"""What one pair of points is trusted with, against wheels and guesses; neighboring beams err together."""
+
+# A match is good if this share of the points that both scans can see is seen by both, contradictions counted twice, or
+# if it is hardly worse than the ones before; below the other share it is not believed.
+_GOOD, _AS_BEFORE, _MEMORY = 0.95, 0.05, 20
+LEAST_QUALITY = 0.6
+# Another prediction has to be better by this than one that is likelier, or by this after a mere search.
+_MARGIN, _SEARCH_MARGIN = 0.08, 0.02
+# Over so many steps odometry may come late: it stands still while the robot drives, and then jumps.
+_LATE = (2, 3, 4, 6, 8, 12)
+_FEWEST_SURFACES = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where a scan lies.
+
+    pose: (3,) T_map_laser. information: (3, 3) of the match and the prediction. quality: share of agreement, 0 to 1.
+    inliers: share of the beams in view of the references that have a partner. matched: whether it is believed.
+    """
+
+    pose: Float
+    information: Float
+    quality: float
+    inliers: float
+    matched: bool
+
+
+class Tracker:
+    """Lays scans on the latest keyframes.
+
+    `segment` is the first keyframe that counts: where track was lost, a new segment begins.
+    """
+
+    def __init__(self, keyframes: Keyframes) -> None:
+        self._keyframes = keyframes
+        self.segment = 0
+        self._grid = np.zeros((_GRID_CELLS, _GRID_CELLS), np.uint8)
+        self._bell = likelihood.bell(_RESOLUTION_M, _SIGMA_M)
+        self._corner: Float = np.zeros(2)
+        self._drawn = False
+        self._velocity: Float = np.zeros(3)
+        self._qualities: deque[float] = deque(maxlen=_MEMORY)
+        # Of the latest scans: step of the odometry (NaN: unknown), and step that was found.
+        self._history: deque[tuple[Float, Float]] = deque(maxlen=max(_LATE))
+
+    def moved(self) -> None:
+        """To be called when keyframes were added or improved: what is drawn of them is out of date."""
+        self._drawn = False
+
+    def track(self, beams: Beams, last: Float, step: Float | None) -> Placement:
+        """Place a scan, given the pose (3,) of the scan before and the step (3,) of the odometry since, if known."""
+        placement = self._best(beams, last, step)
+        self._velocity = se2.relative(last, placement.pose)
+        self._history.append((np.full(3, np.nan) if step is None else step, self._velocity))
+        if placement.matched:
+            self._qualities.append(placement.quality)
+        return placement
+
+    def _best(self, beams: Beams, last: Float, step: Float | None) -> Placement:
+        predictions = self._predictions(step)
+        likeliest, sigma = next(predictions)
+        guess = se2.compose(last, likeliest)
+        if np.count_nonzero(beams.kinds == SURFACE) < _FEWEST_SURFACES:
+            return Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
+        best = self._lay(beams, guess, sigma)
+        if self._good(best):
+            return best
+        margin = _SEARCH_MARGIN
+        for predicted, uncertainty in [(likeliest, sigma), *predictions]:
+            guess = se2.compose(last, predicted)
+            other = self._lay(beams, self._search(beams, guess), uncertainty, guess)
+            if other.quality > best.quality + margin:
+                best = other
+            if self._good(best):
+                break
+            margin = _MARGIN
+        if best.quality < LEAST_QUALITY:
+            return Placement(se2.compose(last, likeliest), np.diag(1 / sigma**2), best.quality, best.inliers, False)
+        return best
+
+    def _good(self, placement: Placement) -> bool:
+        if placement.quality > _GOOD:
+            return True
+        settled = len(self._qualities) == _MEMORY
+        return settled and bool(placement.quality > np.median(self._qualities) - _AS_BEFORE)
+
+    def _predictions(self, step: Float | None) -> Iterator[tuple[Float, Float]]:
+        """Steps (3,) since the last scan with their sigma (3,), the likeliest first."""
+        if step is not None:
+            way, turn = math.hypot(step[0], step[1]), abs(step[2])
+            yield step, np.array([0.02 + 0.1 * way, 0.02 + 0.1 * way, 0.05 + 0.2 * turn])
+        way, turn = math.hypot(self._velocity[0], self._velocity[1]), abs(self._velocity[2])
+        yield self._velocity, np.array([0.1 + 0.1 * way, 0.1 + 0.1 * way, 0.1 + 0.2 * turn])
+        unsure = np.array([0.1, 0.1, 0.2])
+        if step is not None:
+            yield from ((late, unsure) for late in self._late(step))
+        yield np.zeros(3), unsure
+
+    def _late(self, step: Float) -> Iterator[Float]:
+        """What is left of the way that odometry claims for the last few scans together, after what was found."""
+        claimed, found = step, se2.IDENTITY
+        for back, (before, was) in enumerate(reversed(self._history), start=2):
+            if np.isnan(before).any():
+                return
+            claimed = se2.compose(before, claimed)
+            found = se2.compose(was, found)
+            if back in _LATE:
+                yield se2.relative(found, claimed)
+
+    def _lay(self, beams: Beams, start: Float, sigma: Float, guess: Float | None = None) -> Placement:
+        """Match from a start; the guess (the start, if none is given) with its sigma holds what the scan does not."""
+        keyframes = self._keyframes
+        back = len(keyframes) - _REFERENCES
+        references = back[back >= self.segment]
+        prior = np.diag((PAIR_SIGMA_M / sigma) ** 2)
+        pose, inliers, hessian, _ = pairing.match(
+            start,
+            start if guess is None else guess,
+            *(beams.points, beams.normals, beams.kinds),
+            *(references, keyframes.poses, *keyframes.arrays),
+            *(*_DISTANCE_M, *_KERNEL_M, _ITERATIONS, prior),
+        )
+        points, _, kinds, firsts, increments = keyframes.arrays
+        same, against = pairing.agreements(
+            pose, beams.points, beams.kinds, beams.first, beams.increment, references[:_WITNESSES], keyframes.poses,
+            points, kinds, firsts, increments, 2,
+        )  # fmt: skip
+        quality = same / max(1, same + 2 * against)
+        return Placement(pose, hessian / PAIR_SIGMA_M**2, quality, inliers, quality >= LEAST_QUALITY)
+
+    def _search(self, beams: Beams, guess: Float) -> Float:
+        self._draw()
+        used = max(1, np.count_nonzero(beams.kinds != INVALID) // _SEARCH_BEAMS)
+        return likelihood.search(  # type: ignore[call-arg]
+            self._grid, beams.points, beams.kinds, guess, *self._corner, _RESOLUTION_M, _TURNS, _TURN, _SHIFTS, used
+        )[0]
+
+    def _draw(self) -> None:
+        if self._drawn:
+            return
+        count = len(self._keyframes)
+        poses = self._keyframes.poses
+        points, _, kinds, _, _ = self._keyframes.arrays
+        self._grid[:] = 0
+        self._corner = poses[-1, :2] - 0.5 * _GRID_CELLS * _RESOLUTION_M
+        x, y = self._corner
+        for k in range(max(self.segment, count - _DRAWN), count):
+            likelihood.splat(self._grid, points[k], kinds[k], poses[k], x, y, _RESOLUTION_M, self._bell)
+        self._drawn = True
