@@ -110,3 +110,22 @@ def search(  # type: ignore[no-untyped-def]
                     found[1] = guess[1] + (v - shifts) * resolution
                     found[2] = yaw
     return found, best
+
+
+@numba.njit(cache=True, nogil=True)
+def climb(grid, points, kinds, start, x0, y0, resolution, turn, rounds):  # type: ignore[no-untyped-def]
+    """The pose near a start that scores best: steps of half a cell and half a turn, halved in each round."""
+    best = start.copy()
+    value = score(grid, points, kinds, best, x0, y0, resolution)
+    step = np.array([0.5 * resolution, 0.5 * resolution, 0.5 * turn])
+    for _ in range(rounds):
+        for axis in range(3):
+            for sign in (-1.0, 1.0):
+                pose = best.copy()
+                pose[axis] += sign * step[axis]
+                other = score(grid, points, kinds, pose, x0, y0, resolution)
+                if other > value:
+                    value = other
+                    best = pose
+        step *= 0.5
+    return best

@@ -30,6 +30,9 @@ _GRID_CELLS = 500
 # Search windows around a prediction: turns of 1 deg, cells of 10 cm.
 _TURNS, _TURN, _SHIFTS = 20, math.radians(1.0), 2
 _SEARCH_BEAMS = 90
+# Without odometry the best place is then looked for between the cells, and believed as much, m and rad.
+_CLIMBS = 3
+_FOUND_SIGMA = np.array([0.05, 0.05, 0.1])
 
 # Search distance and width of the robust kernel, first to last iteration, m.
 _DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.35, 0.12), (0.08, 0.045), 10
@@ -38,7 +41,7 @@ PAIR_SIGMA_M = 0.05
 
 # A match is good if this share of the points that both scans can see is seen by both, contradictions counted twice, or
 # if it is hardly worse than the ones before; below the other share it is not believed.
-_GOOD, _AS_BEFORE, _MEMORY = 0.95, 0.05, 20
+_GOOD, _FAIR, _AS_BEFORE, _MEMORY = 0.95, 0.85, 0.05, 20
 LEAST_QUALITY = 0.6
 # Another prediction has to be better by this than one that is likelier, or by this after a mere search.
 _MARGIN, _SEARCH_MARGIN = 0.08, 0.02
@@ -100,12 +103,12 @@ class Tracker:
         if np.count_nonzero(beams.kinds == SURFACE) < _FEWEST_SURFACES:
             return Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
         best = self._lay(beams, guess, sigma)
-        if self._good(best):
+        if step is not None and self._good(best):
             return best
         margin = _SEARCH_MARGIN
         for predicted, uncertainty in [(likeliest, sigma), *predictions]:
             guess = se2.compose(last, predicted)
-            other = self._lay(beams, self._search(beams, guess), uncertainty, guess)
+            other = self._found(beams, guess, uncertainty if step is not None else None)
             if other.quality > best.quality + margin:
                 best = other
             if self._good(best):
@@ -116,8 +119,8 @@ class Tracker:
         return best
 
     def _good(self, placement: Placement) -> bool:
-        if placement.quality > _GOOD:
-            return True
+        if placement.quality > _GOOD or placement.quality < _FAIR:
+            return placement.quality > _GOOD
         settled = len(self._qualities) == _MEMORY
         return settled and bool(placement.quality > np.median(self._qualities) - _AS_BEFORE)
 
@@ -165,12 +168,22 @@ class Tracker:
         quality = same / max(1, same + 2 * against)
         return Placement(pose, hessian / PAIR_SIGMA_M**2, quality, inliers, quality >= LEAST_QUALITY)
 
-    def _search(self, beams: Beams, guess: Float) -> Float:
+    def _found(self, beams: Beams, guess: Float, sigma: Float | None) -> Placement:
+        """Match from the best place around a guess; without a sigma, that place counts and the guess no longer.
+
+        Along a bare corridor the points that are on no surface, such as door frames, are all that there is; without
+        odometry the place where they fit best is a better guess than the speed before, which would run away.
+        """
         self._draw()
         used = max(1, np.count_nonzero(beams.kinds != INVALID) // _SEARCH_BEAMS)
-        return likelihood.search(  # type: ignore[call-arg]
-            self._grid, beams.points, beams.kinds, guess, *self._corner, _RESOLUTION_M, _TURNS, _TURN, _SHIFTS, used
+        x, y = self._corner
+        start = likelihood.search(
+            self._grid, beams.points, beams.kinds, guess, x, y, _RESOLUTION_M, _TURNS, _TURN, _SHIFTS, used
         )[0]
+        if sigma is not None:
+            return self._lay(beams, start, sigma, guess)
+        start = likelihood.climb(self._grid, beams.points, beams.kinds, start, x, y, _RESOLUTION_M, _TURN, _CLIMBS)
+        return self._lay(beams, start, _FOUND_SIGMA)
 
     def _draw(self) -> None:
         if self._drawn:
