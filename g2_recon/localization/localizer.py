@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry import se2
+from g2_recon.geometry.se2_kernels import compose, relative
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
@@ -37,6 +38,7 @@ _PATIENCE = 5
 _BREAK_WAY_M = 300.0
 _FEWEST_SURFACES = 10
 # Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
+_UNKNOWN = np.full(3, np.nan)
 _STANDING_M, _STANDING_RAD = 0.005, 0.004
 
 
@@ -106,7 +108,7 @@ class Localizer:
         )
         step = self._odometry.step(scan.stamp, odometry)
         placement = self._place(seen, step)
-        self._wheels_since = se2.compose(self._wheels_since, np.full(3, np.nan) if step is None else step)
+        self._wheels_since = compose(self._wheels_since, _UNKNOWN if step is None else step)
         self._last = placement.pose
         keyframe = self._grow_map(seen, placement)
         self._remember(scan.stamp, seen, placement.pose, keyframe=keyframe)
@@ -114,7 +116,7 @@ class Localizer:
         if keyframe and self._close_loops():
             self._last = self._keyframes.poses[-1].copy()
         self._covariance = np.asarray(np.linalg.inv(placement.information + 1e-6 * np.eye(3)), float)
-        pose = se2.compose(self._last, self._T_laser_base)
+        pose = compose(self._last, self._T_laser_base)
         if self._keep_scans:
             self._causal.append(pose)
         return LocalizedScan(scan.stamp, pose, self._covariance, placement.inliers, placement.matched, keyframe)
@@ -122,7 +124,8 @@ class Localizer:
     def _place(self, seen: Beams, step: Float | None) -> Placement:
         if not len(self._keyframes):
             matched = np.count_nonzero(seen.kinds == SURFACE) >= _FEWEST_SURFACES
-            return Placement(self._start, 1e6 * np.eye(3), 1.0, 1.0, matched)
+            pose = self._last if step is None else compose(self._last, step)
+            return Placement(pose, 1e6 * np.eye(3), 1.0, 1.0, matched)
         placement = self._tracker.track(seen, self._last, step)
         self._lost = 0 if placement.matched else self._lost + 1
         self.unmatched += not placement.matched
@@ -135,7 +138,7 @@ class Localizer:
             if placement.matched:
                 self._add_keyframe(seen, placement.pose, 0.0, broken=False)
             return placement.matched
-        moved = se2.relative(self._keyframes.poses[-1], placement.pose)
+        moved = relative(self._keyframes.poses[-1], placement.pose)
         way, turn = math.hypot(moved[0], moved[1]), abs(moved[2])
         if self._lost >= _PATIENCE and surfaces >= _FEWEST_SURFACES:
             self._finish_local_map()
@@ -164,7 +167,7 @@ class Localizer:
             owner, offset = -1, pose
         else:
             owner = len(self._keyframes) - 1
-            offset = np.zeros(3) if keyframe else se2.relative(self._keyframes.poses[owner], pose)
+            offset = np.zeros(3) if keyframe else relative(self._keyframes.poses[owner], pose)
         if not self._keep_scans and self._owners and owner == self._owners[-1] and not keyframe:
             moved = np.abs(offset - self._offsets[-1])
             if max(moved[0], moved[1]) < _STANDING_M and moved[2] < _STANDING_RAD:
@@ -223,6 +226,7 @@ class Localizer:
         self._keyframes.poses[:] = poses
         if self._keep_scans:
             self._refine_scans()
+            progress("matching all scans", 1, 1)
         self._tracker.moved()
 
     def _close_more_loops(self, progress: Progress) -> None:

@@ -163,7 +163,7 @@ def place(  # type: ignore[no-untyped-def]
             0.12,
             0.05,
             0.045,
-            10,
+            5,
             prior,
         )
         result[s] = pose

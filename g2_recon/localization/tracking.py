@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry import se2
+from g2_recon.geometry.se2_kernels import compose, relative
 from g2_recon.localization import likelihood, pairing
 from g2_recon.localization.beams import INVALID, SURFACE, Beams
 from g2_recon.localization.keyframes import Keyframes
@@ -20,7 +21,7 @@ from g2_recon.localization.keyframes import Keyframes
 Float = NDArray[np.float64]
 
 # The keyframes that a scan is laid on, counted back from the latest; the first few also have to agree with it.
-_REFERENCES = np.array([1, 2, 3, 4, 6, 8, 10, 12, 14, 16])
+_REFERENCES = np.array([1, 2, 3, 5, 8, 11, 15])
 _WITNESSES = 5
 # What is drawn into the likelihood grid: so many keyframes, into cells of this size, blurred by this, m.
 _DRAWN = 25
@@ -35,7 +36,7 @@ _CLIMBS = 3
 _FOUND_SIGMA = np.array([0.05, 0.05, 0.1])
 
 # Search distance and width of the robust kernel, first to last iteration, m.
-_DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.35, 0.12), (0.08, 0.045), 10
+_DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.35, 0.12), (0.08, 0.045), 5
 PAIR_SIGMA_M = 0.05
 """What one pair of points is trusted with, against wheels and guesses; neighboring beams err together."""
 
@@ -90,7 +91,7 @@ class Tracker:
     def track(self, beams: Beams, last: Float, step: Float | None) -> Placement:
         """Place a scan, given the pose (3,) of the scan before and the step (3,) of the odometry since, if known."""
         placement = self._best(beams, last, step)
-        self._velocity = se2.relative(last, placement.pose)
+        self._velocity = relative(last, placement.pose)
         self._history.append((np.full(3, np.nan) if step is None else step, self._velocity))
         if placement.matched:
             self._qualities.append(placement.quality)
@@ -99,7 +100,7 @@ class Tracker:
     def _best(self, beams: Beams, last: Float, step: Float | None) -> Placement:
         predictions = self._predictions(step)
         likeliest, sigma = next(predictions)
-        guess = se2.compose(last, likeliest)
+        guess = compose(last, likeliest)
         if np.count_nonzero(beams.kinds == SURFACE) < _FEWEST_SURFACES:
             return Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
         best = self._lay(beams, guess, sigma)
@@ -107,7 +108,7 @@ class Tracker:
             return best
         margin = _SEARCH_MARGIN
         for predicted, uncertainty in [(likeliest, sigma), *predictions]:
-            guess = se2.compose(last, predicted)
+            guess = compose(last, predicted)
             other = self._found(beams, guess, uncertainty if step is not None else None)
             if other.quality > best.quality + margin:
                 best = other
@@ -115,7 +116,7 @@ class Tracker:
                 break
             margin = _MARGIN
         if best.quality < LEAST_QUALITY:
-            return Placement(se2.compose(last, likeliest), np.diag(1 / sigma**2), best.quality, best.inliers, False)
+            return Placement(compose(last, likeliest), np.diag(1 / sigma**2), best.quality, best.inliers, False)
         return best
 
     def _good(self, placement: Placement) -> bool:
@@ -142,10 +143,10 @@ class Tracker:
         for back, (before, was) in enumerate(reversed(self._history), start=2):
             if np.isnan(before).any():
                 return
-            claimed = se2.compose(before, claimed)
-            found = se2.compose(was, found)
+            claimed = compose(before, claimed)
+            found = compose(was, found)
             if back in _LATE:
-                yield se2.relative(found, claimed)
+                yield relative(found, claimed)
 
     def _lay(self, beams: Beams, start: Float, sigma: Float, guess: Float | None = None) -> Placement:
         """Match from a start; the guess (the start, if none is given) with its sigma holds what the scan does not."""
