@@ -107,7 +107,7 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
     if localizer.unmatched > _DOUBTFUL_UNMATCHED * len(recording.scans):
         _log.warning(
             "the trajectory is doubtful: %d of %d scans did not match the map; check laser_pose (a laser mounted "
-            "upside down has a roll of pi), the odometry (or use_odometry off), and max_correspondence",
+            "upside down has a roll of pi) and the odometry (or use_odometry off)",
             localizer.unmatched,
             len(recording.scans),
         )
