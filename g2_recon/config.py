@@ -84,6 +84,7 @@ class LocalizationConfig(_Model):
         round(math.radians(10), 4), "... or has turned this far since it last grew", "rad", ge=0.01, le=math.pi
     )
     map_spacing: float = _setting(0.05, "a point enters the map where it has no point this near", "m", ge=0.001, le=1)
+    grid_resolution: float = _setting(0.05, "edge of a cell of the occupancy grid", "m", ge=0.01, le=1)
     max_correspondence: float = _setting(
         0.3, "method paper: farthest map point that a beam is paired with in the first iteration", "m", ge=0.05, le=5
     )
