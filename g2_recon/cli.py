@@ -127,6 +127,9 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
     target = options.output or Path(f"{_stem(options.recording)}.tum")
     plan, grid = target.with_suffix(".png"), target.with_suffix(".yaml")
     _check_files([target, plan, grid, grid.with_suffix(".pgm")], inputs=[options.recording, options.relations])
+    # Settings of a robot may have the name of its recordings.
+    if grid.exists() and not re.search(rb"^image:", grid.read_bytes(), re.MULTILINE):
+        raise InputError("exists and is no map", where=grid, advice="choose another name with --output")
     relations = read_relations(options.relations) if options.relations else None
     with stages(console) as progress:
         recording = read_recording(options.recording, topics, progress=progress)
