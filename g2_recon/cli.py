@@ -39,6 +39,7 @@ from g2_recon.recording.bags import write_bag
 from g2_recon.recording.clouds import read_cloud
 from g2_recon.recording.files import write_text
 from g2_recon.recording.meshes import MESH_ENDINGS, read_mesh, write_mesh, write_wire_mesh
+from g2_recon.recording.occupancy_maps import write_map
 from g2_recon.recording.recordings import read_recording
 from g2_recon.recording.surfaces import read_true_surface, write_true_surface
 from g2_recon.recording.trajectories import read_tum, write_tum
@@ -101,7 +102,7 @@ def run_recording(options: argparse.Namespace, console: Console) -> None:
     folder = options.output or Path("out") / _stem(options.recording)
     settings = _overridden(settings, options)
     # No other name in the folder can be that of settings or of a recording.
-    _check_files([folder / "config.yaml"], inputs=[options.config])
+    _check_files([folder / "config.yaml", folder / "map.yaml"], inputs=[options.config])
     _run(options.recording, folder, settings, console)
 
 
@@ -124,14 +125,19 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
     settings = _made(LocalizationConfig, _given(options, "localization"), options)
     topics = _made(RecordingConfig, _given(options, "recording"), options)
     target = options.output or Path(f"{_stem(options.recording)}.tum")
-    plan = target.with_suffix(".png")
-    _check_files([target, plan], inputs=[options.recording, options.relations])
+    plan, grid = target.with_suffix(".png"), target.with_suffix(".yaml")
+    _check_files([target, plan, grid, grid.with_suffix(".pgm")], inputs=[options.recording, options.relations])
+    # Settings of a robot may have the name of its recordings.
+    if grid.exists() and not re.search(rb"^image:", grid.read_bytes(), re.MULTILINE):
+        raise InputError("exists and is no map", where=grid, advice="choose another name with --output")
     relations = read_relations(options.relations) if options.relations else None
     with stages(console) as progress:
         recording = read_recording(options.recording, topics, progress=progress)
         result = pipeline.localize(recording, settings, progress=progress)
         write_tum(target, result.trajectory)
-        pictures.draw_floor_plan(plan, result.point_map, result.trajectory)
+        if result.grid is not None:
+            write_map(grid, result.grid)
+        pictures.draw_floor_plan(plan, result.point_map, result.trajectory, result.grid)
         progress("writing", 1, 1)
     rows: dict[str, Any] = {
         "scans": f"{len(result.trajectory):,}",
@@ -145,7 +151,8 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
     if relations is not None:
         rows |= _relations_rows(score_relations(relations, result.trajectory))
     print_table("localized", rows, progress, console)
-    print_paths({"trajectory": target, "floor plan": plan}, console)
+    maps = {} if result.grid is None else {"map": grid}
+    print_paths({"trajectory": target, **maps, "floor plan": plan}, console)
 
 
 def run_reconstruct(options: argparse.Namespace, console: Console) -> None:
@@ -402,10 +409,12 @@ def build_parser() -> argparse.ArgumentParser:
         model = type(getattr(G2ReconConfig(), stage))
         _add_settings(run, model, stage, prefix=f"{stage}.")
 
-    localize = add("localize", run_localize, "horizontal scans to a trajectory (TUM) and a floor plan (PNG)")
+    localize = add(
+        "localize", run_localize, "horizontal scans to a trajectory (TUM), a map (YAML, PGM) and a floor plan (PNG)"
+    )
     localize.add_argument("recording", metavar="LOG", type=Path, help="CARMEN log (.log .clf, also .gz .bz2) or bag")
     localize.add_argument(
-        "-o", "--output", metavar="TUM", type=Path, help="default: NAME.tum; the floor plan beside it"
+        "-o", "--output", metavar="TUM", type=Path, help="default: NAME.tum; map and floor plan beside it"
     )
     localize.add_argument("--relations", metavar="FILE", type=Path, help="score the trajectory by true relations")
     _add_settings(localize, LocalizationConfig, "localization")

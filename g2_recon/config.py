@@ -63,7 +63,7 @@ class RecordingConfig(_Model):
 
 
 class LocalizationConfig(_Model):
-    """Scan-to-map ICP with the horizontal laser."""
+    """Where the robot was, from the scans of the horizontal laser."""
 
     laser_pose: tuple[float, ...] = _pose(
         "pose of the horizontal laser on the robot as x y z roll pitch yaw; empty: as the recording or TF says"
@@ -71,7 +71,7 @@ class LocalizationConfig(_Model):
     method: Literal["graph", "paper"] = _setting(
         "graph", "graph: smoothing, loop closures, refinement; paper: ICP of each scan against a global point map"
     )
-    loop_closure: bool = _setting(True, "recognize places and correct the drift since then (method graph)")
+    loop_closure: bool = _setting(True, "method graph: recognize places and correct the drift since then")
     use_odometry: bool = _setting(
         True, "take wheel odometry as the first guess where there is some; else constant velocity"
     )
@@ -84,16 +84,17 @@ class LocalizationConfig(_Model):
         round(math.radians(10), 4), "... or has turned this far since it last grew", "rad", ge=0.01, le=math.pi
     )
     map_spacing: float = _setting(0.05, "a point enters the map where it has no point this near", "m", ge=0.001, le=1)
+    grid_resolution: float = _setting(0.05, "edge of a cell of the occupancy grid", "m", ge=0.01, le=1)
     max_correspondence: float = _setting(
-        0.3, "farthest map point that a beam is paired with in the first iteration", "m", ge=0.05, le=5
+        0.3, "method paper: farthest map point that a beam is paired with in the first iteration", "m", ge=0.05, le=5
     )
     min_correspondence: float = _setting(
-        0.12, "the same in the last iterations, so that what does not fit is rejected", "m", ge=0.01, le=5
+        0.12, "method paper: the same in the last iterations, so that what does not fit is rejected", "m", ge=0.01, le=5
     )
-    max_iterations: int = _setting(25, "ICP iterations at most for one scan", ge=1, le=500)
+    max_iterations: int = _setting(25, "method paper: ICP iterations at most for one scan", ge=1, le=500)
     min_inliers: float = _setting(
         0.4,
-        "a match with a smaller share of paired beams is rejected; the pose then follows the first guess",
+        "method paper: a match with a smaller share of paired beams is rejected; the pose then follows the first guess",
         ge=0,
         le=1,
     )

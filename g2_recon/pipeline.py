@@ -19,15 +19,18 @@ from g2_recon.config import G2ReconConfig, LocalizationConfig, ReconstructionCon
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud, concatenate
+from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.recording import Recording
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.methods import make_localizer
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.reconstructor import Reconstruction, reconstruct
 from g2_recon.recording.clouds import write_cloud
 from g2_recon.recording.files import write_text
 from g2_recon.recording.meshes import write_mesh, write_wire_mesh
+from g2_recon.recording.occupancy_maps import write_map
 from g2_recon.recording.trajectories import write_tum
 from g2_recon.registration.registrar import Registrar
 
@@ -43,13 +46,14 @@ _log = logging.getLogger(__name__)
 class Localization:
     """trajectory: T_map_base of each horizontal scan, as known at the end; causal: as known when the scan came.
 
-    point_map: (N, 2). keyframes, unmatched: how many scans. loops: how many were closed. odometry_jumps: between how
-    many scans odometry was not believed.
+    point_map: (N, 2). grid: the occupancy grid, None where none could be made. keyframes, unmatched: how many scans.
+    loops: how many were closed. odometry_jumps: between how many scans odometry was not believed.
     """
 
     trajectory: Trajectory
     causal: Trajectory
     point_map: Float
+    grid: OccupancyGrid | None
     keyframes: int
     unmatched: int
     loops: int
@@ -94,12 +98,13 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
     T_base_laser = mounting_pose("localization", settings.laser_pose, recording.T_base_laser)
     localizer = make_localizer(settings, T_base_laser, keep_scans=True)
     odometry = odometry_at_scans(recording)
-    keyframes = 0
+    grid = KeyframeGrid(settings, T_base_laser)
     for index, scan in enumerate(recording.scans):
-        keyframes += localizer.process(scan, odometry[index]).keyframe
+        if localizer.process(scan, odometry[index]).keyframe:
+            grid.add(scan)
         if index % 64 == 0 or index + 1 == len(recording.scans):
             progress("localization", index + 1, len(recording.scans))
-    if not keyframes:
+    if not len(grid):
         raise InputError(
             f"none of the {len(recording.scans)} horizontal scans has enough beams on surfaces to start a map",
             advice="check scan_topic, and localization.min_range and max_range against the ranges in the recording",
@@ -107,7 +112,7 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
     if localizer.unmatched > _DOUBTFUL_UNMATCHED * len(recording.scans):
         _log.warning(
             "the trajectory is doubtful: %d of %d scans did not match the map; check laser_pose (a laser mounted "
-            "upside down has a roll of pi), the odometry (or use_odometry off), and max_correspondence",
+            "upside down has a roll of pi) and the odometry (or use_odometry off)",
             localizer.unmatched,
             len(recording.scans),
         )
@@ -117,11 +122,24 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
         localizer.trajectory(),
         causal,
         localizer.point_map(),
-        keyframes,
+        _finished_grid(grid, localizer.keyframes(), progress),
+        len(grid),
         localizer.unmatched,
         localizer.loops,
         localizer.odometry_jumps,
     )
+
+
+def _finished_grid(grid: KeyframeGrid, keyframes: Trajectory, progress: Progress) -> OccupancyGrid | None:
+    """The occupancy grid at the final poses of the keyframes; what had to be left out of it is logged."""
+    poses = keyframes.planar()
+    while not grid.update(poses, most=64):
+        progress("occupancy grid", grid.counted, len(grid))
+    progress("occupancy grid", len(grid), len(grid))
+    if grid.left_out:
+        _log.warning("%d of %d keyframes are not in the map: %s", grid.left_out, len(grid), grid.why_left_out)
+    made = grid.grid()
+    return made if made.cells.size else None
 
 
 def odometry_at_scans(recording: Recording) -> Float:
@@ -227,15 +245,18 @@ def summarize(result: Run) -> dict[str, Any]:
 def write_run(
     result: Run, settings: G2ReconConfig, folder: Path, *, summary: dict[str, Any], progress: Progress = silent
 ) -> None:
-    """Write all files of a run into a folder: trajectory, cloud, meshes, pictures, settings and summary."""
+    """Write all files of a run into a folder: trajectory, map, cloud, meshes, pictures, settings and summary."""
+    localization = result.localization
+    grid = localization.grid
     steps = [
-        lambda: write_tum(folder / "trajectory.tum", result.localization.trajectory),
+        lambda: write_tum(folder / "trajectory.tum", localization.trajectory),
         lambda: write_cloud(folder / "cloud.ply", result.registration.cloud),
         lambda: write_wire_mesh(folder / "wire_mesh.ply", result.reconstruction.wire_mesh),
         lambda: write_mesh(folder / "mesh.ply", result.reconstruction.mesh),
         lambda: write_mesh(folder / "mesh.glb", result.reconstruction.mesh),
+        lambda: None if grid is None else write_map(folder / "map.yaml", grid),
         lambda: pictures.draw_floor_plan(
-            folder / "floor_plan.png", result.localization.point_map, result.localization.trajectory
+            folder / "floor_plan.png", localization.point_map, localization.trajectory, grid
         ),
         lambda: pictures.draw_mesh(folder / "mesh.png", result.reconstruction.mesh, result.reconstruction.wire_mesh),
         lambda: write_text(folder / "config.yaml", config.dump(settings)),

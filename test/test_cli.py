@@ -19,6 +19,7 @@ from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import Mesh, TrueSurface
 from g2_recon.recording.clouds import read_cloud, write_cloud
 from g2_recon.recording.meshes import write_mesh
+from g2_recon.recording.occupancy_maps import read_map
 from g2_recon.recording.recordings import read_recording
 from g2_recon.recording.surfaces import read_true_surface, write_true_surface
 from g2_recon.recording.trajectories import read_tum
@@ -63,6 +64,7 @@ def test_the_demo_writes_every_file_and_each_loads(demo):
     meshes = [trimesh.load(demo / name, process=False, force="mesh") for name in ("mesh.ply", "mesh.glb")]
     assert len(meshes[0].faces) == len(meshes[1].faces) > 5000
     assert len(trimesh.load(demo / "wire_mesh.ply", process=False).vertices) > 5000
+    assert {0, 100} < set(np.unique(read_map(demo / "map.yaml").cells).tolist())
     for name in ("floor_plan.png", "mesh.png"):
         assert (demo / name).read_bytes().startswith(b"\x89PNG")
 
@@ -98,11 +100,12 @@ def test_the_bundled_recording_says_that_it_is_simulated():
     assert "no robot has driven here" in metadata["rosbag2_bagfile_information"]["custom_data"]["simulated"]
 
 
-def test_localize_writes_a_pose_a_scan_and_a_floor_plan(tmp_path):
+def test_localize_writes_a_pose_a_scan_a_map_and_a_floor_plan(tmp_path):
     target = tmp_path / "way.tum"
     assert main(["localize", str(bundled_recording()), "-o", str(target)]) == 0
     assert len(read_tum(target)) == len(read_recording(bundled_recording()).scans)
     assert (tmp_path / "way.png").exists()
+    assert read_map(tmp_path / "way.yaml").resolution == 0.05
 
 
 @needs(DATA / "carmen" / "aces.clf.bz2")
@@ -365,11 +368,20 @@ def test_a_result_never_replaces_a_file_of_the_bag_that_is_read(tmp_path, capsys
     assert "would replace" in refused(capsys, "localize", tmp_path / "bag", "-o", data)
 
 
-def test_a_run_never_replaces_the_settings_that_it_reads(tmp_path, capsys):
-    settings = tmp_path / "config.yaml"
+@pytest.mark.parametrize("name", ["config.yaml", "map.yaml"])
+def test_a_run_never_replaces_the_settings_that_it_reads(tmp_path, capsys, name):
+    settings = tmp_path / name
     settings.write_text("reconstruction:\n  theta: 2.5\n")
     said = refused(capsys, "run", bundled_recording(), "-o", tmp_path, "--config", settings)
     assert "would replace" in said
+
+
+@pytest.mark.parametrize("content", [b"localization:\n  method: paper\n", b"\xff"], ids=["settings", "no text"])
+def test_a_map_never_replaces_a_yaml_file_that_is_none(tmp_path, capsys, content):
+    settings = tmp_path / "robot.yaml"
+    settings.write_bytes(content)
+    assert "is no map" in refused(capsys, "localize", tmp_path / "robot.log", "-o", tmp_path / "robot.tum")
+    assert settings.read_bytes() == content
 
 
 def test_a_result_never_replaces_a_folder(tmp_path, capsys):
@@ -383,6 +395,7 @@ def test_what_is_no_bag_is_not_replaced_even_if_asked_and_before_the_work(tmp_pa
 
 def test_results_that_would_replace_each_other_are_refused(tmp_path, capsys):
     assert "two results" in refused(capsys, "localize", tmp_path / "drive.log", "-o", tmp_path / "way.png")
+    assert "two results" in refused(capsys, "localize", tmp_path / "drive.log", "-o", tmp_path / "way.pgm")
 
 
 @pytest.mark.parametrize("command", ["demo", "simulate"])

@@ -37,6 +37,23 @@ def test_the_trajectory_is_within_5_cm_of_the_truth(simulation, result):
     assert mean_position_error(result.localization.trajectory, simulation.trajectory) < 0.05
 
 
+def test_the_robot_drove_through_free_cells_of_the_map(result):
+    localization = result.localization
+    cells = localization.grid.at(localization.trajectory.positions[:, :2])
+    # Where the robot set out nobody has looked from elsewhere yet; nothing is in its way.
+    assert (cells == 0).mean() > 0.95
+    assert not (cells == 100).any()
+
+
+def test_keyframes_that_no_map_can_hold_cost_the_map_and_not_the_trajectory(simulation, monkeypatch, caplog):
+    monkeypatch.setattr("g2_recon.localization.occupancy.MOST_CELLS", 10)
+    recording = dataclasses.replace(simulation.recording, scans=simulation.recording.scans[:50])
+    localization = pipeline.localize(recording, LocalizationConfig())
+    assert localization.grid is None
+    assert len(localization.trajectory) == 50
+    assert "keyframes are not in the map" in caplog.text
+
+
 def test_the_cloud_lies_on_the_true_surfaces(simulation, result):
     truth = simulation.clean_vertical[: len(result.registration.cloud)]
     error = np.linalg.norm(result.registration.cloud.points[: len(truth)] - truth, axis=1)

@@ -12,7 +12,8 @@ from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization.localized_scan import LocalizedScan
-from g2_recon.localization.paper_matching import MatchResult, beam_normals, match
+from g2_recon.localization.odometry import OdometrySteps
+from g2_recon.localization.paper_matching import MatchResult, match
 from g2_recon.localization.point_map import PointMap
 from g2_recon.progress import Progress, silent
 
@@ -20,23 +21,15 @@ Float = NDArray[np.float64]
 
 # Fewer beams than this say nothing about a pose in the plane that odometry would not say better.
 _FEWEST_POINTS = 10
-# How uncertain a first guess is: a floor (m, m, rad) and a share of the way and of the turn since the last scan.
-_GUESS_FLOOR = np.array([0.02, 0.02, 0.1])
-_GUESS_SHARE = np.array([0.1, 0.1, 0.2])
-# Without odometry the guess is that nothing has changed since the step before, which a robot that starts, stops or
-# turns refutes.
-_GUESS_FLOOR_WITHOUT_ODOMETRY = np.array([0.1, 0.1, 0.2])
-# The first gate of the match lets through what an uncertain guess moves a point by; a turn does so at 3 m, where the
-# walls of rooms and corridors are.
-_GATE = np.array([3.0, 3.0, 3.0])
-
-# Odometry that claims more than this between two scans has jumped: no robot indoors is that fast.
-_JUMP_M = 0.5
-_FASTEST_M_S = 5.0
+# How far off the first guess may be, with odometry and without: a floor (m, m, rad), and a share of the way and of the
+# turn since the last scan. Where a scan does not match, the pose is as much less certain.
+_DRIFT_FLOOR = np.array([0.02, 0.02, 0.1])
+_DRIFT_FLOOR_WITHOUT_ODOMETRY = np.array([0.1, 0.1, 0.2])
+_DRIFT_SHARE = np.array([0.1, 0.1, 0.2])
 
 
 class PaperLocalizer:
-    """Scan-to-map ICP (paper, section 2.2): scan matching combined with a global point map built on the way."""
+    """Scan matching by ICP, combined with a global point map that is built on the way (paper, section 2.2)."""
 
     def __init__(self, config: LocalizationConfig, T_base_laser: ArrayLike) -> None:
         """`T_base_laser`: (4, 4) mounting pose; a laser mounted upside down is one with a roll of pi."""
@@ -52,34 +45,38 @@ class PaperLocalizer:
         self._keyframes: list[int] = []
         self._start = np.array(pose, float)
         self._last_step: Float = np.zeros(3)
-        self._odometry: Float | None = None
+        self._odometry = OdometrySteps(np.zeros(3), use=self._config.use_odometry)
         self._covariance: Float = np.zeros((3, 3))
         self.unmatched = 0
-        self.odometry_jumps = 0
 
     def process(self, scan: Scan, odometry: ArrayLike | None = None) -> LocalizedScan:
         """Localize one scan and, where the robot has moved on, add it to the map.
 
         odometry: (3,) x, y, yaw of T_odom_base when the scan was taken; None or NaN where unknown.
         """
-        points, normals = self._points_in_base(scan)
-        guess, sigma = self._first_guess(scan.stamp, odometry)
-        result = self._match(points, normals, guess, sigma)
+        points = self._points_in_base(scan)
+        guess, drift = self._first_guess(scan.stamp, odometry)
+        result = self._match(points, guess)
         matched = result is not None and result.inliers >= self._config.min_inliers
         if result is not None and matched:
             pose, inliers = result.pose, result.inliers
             self._covariance = np.asarray(np.linalg.inv(result.information), float)
         else:
             pose, inliers = guess, 0.0 if result is None else result.inliers
-            self._covariance = self._covariance + np.diag(sigma**2)
+            self._covariance = self._covariance + np.diag(drift**2)
             # The first scan has no map to match.
             self.unmatched += bool(self._poses)
         if self._poses:
             self._last_step = se2.relative(self._poses[-1], pose)
         self._stamps.append(scan.stamp)
         self._poses.append(pose)
-        keyframe = self._grow_map(points, normals, pose, matched=matched)
+        keyframe = self._grow_map(points, pose, matched=matched)
         return LocalizedScan(scan.stamp, pose, self._covariance, inliers, matched, keyframe)
+
+    @property
+    def odometry_jumps(self) -> int:
+        """Between how many scans odometry was not believed."""
+        return self._odometry.jumps
 
     @property
     def loops(self) -> int:
@@ -106,52 +103,34 @@ class PaperLocalizer:
         """The points (N, 2) of the map."""
         return self._map.points.copy()
 
-    def _points_in_base(self, scan: Scan) -> tuple[Float, Float]:
-        """Points (M, 2) of the scan and their normals (M, 2) in the robot frame, projected to the floor.
-
-        Points without a normal lie on no surface: mixed pixels, legs, leaves. They are left out.
-        """
-        planar, beams = scan.points(range_min=self._config.min_range, range_max=self._config.max_range)
-        normals = beam_normals(planar, beams)
-        known = normals.any(axis=1)
-        turn = self._T_base_laser[:2, :2].T
-        return planar[known] @ turn + self._T_base_laser[:2, 3], normals[known] @ turn
+    def _points_in_base(self, scan: Scan) -> Float:
+        """Points (M, 2) of the scan in the robot frame, projected to the floor."""
+        planar, _ = scan.points(range_min=self._config.min_range, range_max=self._config.max_range)
+        return planar @ self._T_base_laser[:2, :2].T + self._T_base_laser[:2, 3]
 
     def _first_guess(self, stamp: float, odometry: ArrayLike | None) -> tuple[Float, Float]:
-        """The pose (3,) that odometry predicts, or constant velocity where there is none, and its sigma (3,)."""
-        measured = None if odometry is None or not self._config.use_odometry else np.asarray(odometry, float)
-        if measured is not None and not np.isfinite(measured).all():
-            measured = None
-        last, self._odometry = self._odometry, measured
+        """The pose (3,) that odometry predicts, or constant velocity where there is none, and its drift (3,)."""
+        step = self._odometry.step(stamp, odometry)
         if not self._poses:
             return self._start, np.zeros(3)
-        if measured is None or last is None:
-            return self._moved_on(self._last_step, _GUESS_FLOOR_WITHOUT_ODOMETRY)
-        step = se2.relative(last, measured)
-        if np.hypot(step[0], step[1]) > _JUMP_M + _FASTEST_M_S * abs(stamp - self._stamps[-1]):
-            self.odometry_jumps += 1
-            return self._moved_on(self._last_step, _GUESS_FLOOR_WITHOUT_ODOMETRY)
-        return self._moved_on(step, _GUESS_FLOOR)
-
-    def _moved_on(self, step: Float, floor: Float) -> tuple[Float, Float]:
+        floor = _DRIFT_FLOOR_WITHOUT_ODOMETRY if step is None else _DRIFT_FLOOR
+        step = self._last_step if step is None else step
         way = np.hypot(step[0], step[1])
-        return se2.compose(self._poses[-1], step), floor + _GUESS_SHARE * (way, way, abs(step[2]))
+        return se2.compose(self._poses[-1], step), floor + _DRIFT_SHARE * (way, way, abs(step[2]))
 
-    def _match(self, points: Float, normals: Float, guess: Float, sigma: Float) -> MatchResult | None:
+    def _match(self, points: Float, guess: Float) -> MatchResult | None:
         if len(points) < _FEWEST_POINTS or not len(self._map):
             return None
         return match(
             points,
-            normals,
             self._map,
             guess,
-            max_correspondence=max(self._config.max_correspondence, *(_GATE * sigma)),
+            max_correspondence=self._config.max_correspondence,
             min_correspondence=self._config.min_correspondence,
             max_iterations=self._config.max_iterations,
-            guess_sigma=sigma,
         )
 
-    def _grow_map(self, points: Float, normals: Float, pose: Float, *, matched: bool) -> bool:
+    def _grow_map(self, points: Float, pose: Float, *, matched: bool) -> bool:
         """Add the scan if the robot has moved on since the last keyframe; a rejected match would blur the map."""
         first = not len(self._map)
         if not (matched or first) or len(points) < _FEWEST_POINTS:
@@ -161,7 +140,7 @@ class PaperLocalizer:
             near = np.hypot(moved[0], moved[1]) < self._config.keyframe_distance
             if near and abs(moved[2]) < self._config.keyframe_angle:
                 return False
-        self._map.add(se2.transform_points(pose, points), se2.transform_points((0.0, 0.0, pose[2]), normals))
+        self._map.add(se2.transform_points(pose, points))
         self._map.focus(pose[:2])
         self._keyframes.append(len(self._poses) - 1)
         return True

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid as GridMessage
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan, PointCloud2
@@ -22,6 +23,7 @@ from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import PoseBuffer
+from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.localized_scan import LocalizedScan
 from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.nodes import conversions
@@ -29,6 +31,7 @@ from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode, session_folder
 from g2_recon.recording.clouds import write_cloud
+from g2_recon.recording.occupancy_maps import write_map
 from g2_recon.recording.trajectories import write_tum
 
 # Odometry with a longer gap says nothing about a time inside it.
@@ -36,6 +39,9 @@ _MAX_ODOMETRY_GAP_S = 1.0
 # Wall time that queued odometry gets to come in before a scan goes on without it, and the same where no newer scan
 # tells how much time has passed: at the end of a recording.
 _GRACE_S, _LONGEST_GRACE_S = 0.05, 1.0
+# Wall time a second for the occupancy grid, so that scans do not wait while a closed loop makes it count anew; it looks
+# at the time after so many keyframes.
+_GRID_S, _GRID_KEYFRAMES = 0.1, 16
 
 
 class _WaitingScan(NamedTuple):
@@ -45,7 +51,7 @@ class _WaitingScan(NamedTuple):
 
 
 class LocalizerNode(StageNode[LocalizerParameters]):
-    """Localizes each scan; publishes poses at once, trajectory and map at new keyframes, at most once a second."""
+    """Localizes each scan; publishes poses at once, trajectory and maps at new keyframes, at most once a second."""
 
     def __init__(self) -> None:
         """Raises ConfigError where a parameter is wrong."""
@@ -53,6 +59,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._transforms = Transforms(self)
         self._mount = LaserMount(self, self.settings.laser_pose, self.settings.base_frame, self._transforms)
         self._localizer: AnyLocalizer | None = None
+        self._grid: KeyframeGrid | None = None
         self._start: NDArray[np.float64] = se2.IDENTITY
         self._odometry = PoseBuffer()
         self._waiting: deque[_WaitingScan] = deque()
@@ -68,10 +75,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "pose", reliable_qos(depth))
         self._trajectory_publisher = self.create_publisher(Path, "trajectory", LATCHED)
         self._map_publisher = self.create_publisher(PointCloud2, "point_map", LATCHED)
+        self._grid_publisher = self.create_publisher(GridMessage, "map", LATCHED)
         self.offer_trigger("~/reset", self._reset_on_request)
         self.offer_trigger("~/save", self._save)
         self.offer_pause()
-        self.create_timer(1.0, self._publish_map, clock=self.steady_clock)
+        self.create_timer(1.0, self._publish_maps, clock=self.steady_clock)
         self.create_timer(_GRACE_S, self._process_waiting, clock=self.steady_clock)
         self.create_subscription(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, 1)
         if self.settings.use_odometry:
@@ -122,6 +130,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         if self._localizer is None:
             self._localizer = make_localizer(self.settings, T_base_laser)
             self._localizer.reset(self._start)
+            self._grid = KeyframeGrid(self.settings, T_base_laser)
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._waiting.append(_WaitingScan(scan, message.header.stamp, monotonic()))
         self._process_waiting()
@@ -139,12 +148,14 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         return monotonic() - waiting.received_at < (_GRACE_S if overdue else _LONGEST_GRACE_S)
 
     def _localize(self, scan: Scan, stamp: Time) -> None:
-        assert self._localizer is not None
+        assert self._localizer is not None and self._grid is not None
         T_odom_base = self._look_up_odometry(scan.stamp)
         odometry = None if T_odom_base is None else se2.from_se3(T_odom_base)
         result = self._localizer.process(scan, odometry)
         self._localized += 1
-        self._map_changed |= result.keyframe
+        if result.keyframe:
+            self._grid.add(scan)
+            self._map_changed = True
         self._last_stamp = stamp
         self._publish_pose(result, stamp, T_odom_base)
 
@@ -162,14 +173,32 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             T_map_odom = se3.from_se2(result.pose) @ se3.inverse(T_odom_base)
             self._transforms.send(stamp, self.settings.map_frame, self.settings.odom_frame, T_map_odom)
 
-    def _publish_map(self) -> None:
-        """Publish trajectory and map if there is a new keyframe."""
-        if not self._map_changed or self._localizer is None:
+    def _publish_maps(self) -> None:
+        """Publish trajectory and point map if there is a new keyframe, and the occupancy grid once it has caught up."""
+        if self._localizer is None or self._grid is None:
             return
-        self._map_changed = False
+        keyframes = self._localizer.keyframes()
         head = conversions.header(self._last_stamp, self.settings.map_frame)
-        self._trajectory_publisher.publish(conversions.path_message(head, self._localizer.keyframes()))
-        self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
+        if self._map_changed:
+            self._map_changed = False
+            self._trajectory_publisher.publish(conversions.path_message(head, keyframes))
+            self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
+        poses = keyframes.planar()
+        if not self._grid.is_current(poses) and self._counted(self._grid, poses):
+            self._say_left_out(self._grid)
+            self._grid_publisher.publish(conversions.grid_message(head, self._grid.grid()))
+
+    def _counted(self, grid: KeyframeGrid, poses: NDArray[np.float64]) -> bool:
+        """Count keyframes, as many as there is time for; whether all are counted."""
+        end = monotonic() + _GRID_S
+        while not grid.update(poses, most=_GRID_KEYFRAMES):
+            if monotonic() > end:
+                return False
+        return True
+
+    def _say_left_out(self, grid: KeyframeGrid) -> None:
+        if grid.left_out:
+            self.say_once("map", f"{grid.left_out} of {len(grid)} keyframes are not in `map`: {grid.why_left_out}")
 
     def _map_cloud(self) -> Cloud:
         planar = np.empty((0, 2)) if self._localizer is None else self._localizer.point_map()
@@ -201,19 +230,28 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._map_changed = False
         if self._localizer is not None:
             self._localizer.reset(start)
+        if self._grid is not None:
+            self._grid.clear()
         head = conversions.header(self._last_stamp, self.settings.map_frame)
         self._trajectory_publisher.publish(Path(header=head))
         self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
 
     def _save(self) -> str:
         folder = session_folder(self.settings.session_dir)
-        if self._localizer is None:
+        if self._localizer is None or self._grid is None:
             raise InputError("there is nothing to save", advice=self.waiting_for() or "send scans first")
         trajectory = self._localizer.trajectory()
         write_tum(folder / "trajectory.tum", trajectory)
         cloud = self._map_cloud()
         write_cloud(folder / "point_map.ply", cloud)
-        return f"wrote trajectory.tum ({len(trajectory)} poses) and point_map.ply ({len(cloud)} points) to {folder}"
+        wrote = f"trajectory.tum ({len(trajectory)} poses), point_map.ply ({len(cloud)} points)"
+        self._grid.update(self._localizer.keyframes().planar())
+        self._say_left_out(self._grid)
+        grid = self._grid.grid()
+        if grid.cells.size:
+            write_map(folder / "map.yaml", grid)
+            wrote += f", map.yaml, map.pgm ({grid.cells.shape[1]} x {grid.cells.shape[0]} cells)"
+        return f"wrote {wrote} to {folder}"
 
 
 def main(args: Sequence[str] | None = None) -> int:

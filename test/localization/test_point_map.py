@@ -6,16 +6,10 @@ from scipy.spatial.distance import cdist
 
 from g2_recon.localization.point_map import PointMap
 
-UP = np.array([0.0, 1.0])
-
-
-def up(points):
-    return np.tile(UP, (len(points), 1))
-
 
 def filled(points, spacing=0.1, reach=100.0):
     point_map = PointMap(spacing=spacing, reach=reach)
-    point_map.add(points, up(points))
+    point_map.add(points)
     point_map.focus((0, 0))
     return point_map
 
@@ -24,7 +18,7 @@ def test_nearest_agrees_with_looking_at_all_points():
     rng = np.random.default_rng(0)
     point_map, queries = filled(rng.uniform(-5, 5, (500, 2))), rng.uniform(-6, 6, (100, 2))
     distances = cdist(queries, point_map.points)
-    found, _, distance = point_map.nearest(queries, up(queries), 0.5)
+    found, distance = point_map.nearest(queries, 0.5)
     near = distances.min(axis=1) < 0.5
     assert np.isfinite(distance).tolist() == near.tolist()
     assert distance[near] == pytest.approx(distances.min(axis=1)[near])
@@ -34,7 +28,7 @@ def test_nearest_agrees_with_looking_at_all_points():
 def test_seeing_the_same_wall_again_adds_nothing():
     wall = np.column_stack([np.linspace(0, 5, 51), np.zeros(51)])
     point_map = filled(wall)
-    assert point_map.add(wall + (0.01, 0.02), up(wall)) == 0
+    assert point_map.add(wall + (0.01, 0.02)) == 0
 
 
 def test_standing_still_for_an_hour_does_not_grow_the_map():
@@ -43,32 +37,21 @@ def test_standing_still_for_an_hour_does_not_grow_the_map():
     point_map = filled(wall, spacing=0.05)
     sizes = []
     for _ in range(500):
-        point_map.add(wall + rng.normal(0, 0.01, wall.shape), up(wall))
+        point_map.add(wall + rng.normal(0, 0.01, wall.shape))
         point_map.focus((0, 0))
         sizes.append(len(point_map))
     assert sizes[-1] - sizes[100] <= 0.05 * sizes[100]
 
 
-def test_the_two_faces_of_a_thin_wall_stay_apart():
-    x = np.linspace(0, 5, 51)
-    near, far = np.column_stack([x, np.zeros(51)]), np.column_stack([x, np.full(51, 0.1)])
-    point_map = PointMap(spacing=0.05, reach=10)
-    point_map.add(np.vstack([near, far]), np.vstack([-up(near), up(far)]))
-    point_map.focus((0, 0))
-    found, normal, _ = point_map.nearest(near + (0, 0.08), -up(near), 0.3)
-    assert found == pytest.approx(near)
-    assert normal == pytest.approx(-up(near))
-
-
 def test_what_is_out_of_reach_of_the_focus_is_not_searched():
     point_map = filled(np.array([[0.0, 0], [50, 0]]), reach=10)
-    assert np.isinf(point_map.nearest(np.array([[50.0, 0]]), UP[None], 1.0)[2]).all()
+    assert np.isinf(point_map.nearest(np.array([[50.0, 0]]), 1.0)[1]).all()
     point_map.focus((45, 0))
-    assert point_map.nearest(np.array([[50.0, 0]]), UP[None], 1.0)[2] == pytest.approx([0])
+    assert point_map.nearest(np.array([[50.0, 0]]), 1.0)[1] == pytest.approx([0])
 
 
 def test_an_empty_map_finds_nothing():
-    assert np.isinf(PointMap(spacing=0.1, reach=10).nearest(np.zeros((3, 2)), up(range(3)), 1.0)[2]).all()
+    assert np.isinf(PointMap(spacing=0.1, reach=10).nearest(np.zeros((3, 2)), 1.0)[1]).all()
 
 
 def test_the_map_keeps_what_it_has_while_it_grows():
@@ -76,5 +59,5 @@ def test_the_map_keeps_what_it_has_while_it_grows():
     point_map = PointMap(spacing=1e-6, reach=10)
     batches = [rng.uniform(-5, 5, (900, 2)) for _ in range(5)]
     for batch in batches:
-        point_map.add(batch, up(batch))
+        point_map.add(batch)
     assert point_map.points.tolist() == np.concatenate(batches).tolist()

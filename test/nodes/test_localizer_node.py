@@ -12,6 +12,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid as GridMessage
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_srvs.srv import SetBool, Trigger
@@ -21,6 +22,7 @@ from g2_recon.nodes import conversions
 from g2_recon.nodes.localizer_node import LocalizerNode
 from g2_recon.nodes.ros import LATCHED
 from g2_recon.recording.clouds import read_cloud
+from g2_recon.recording.occupancy_maps import read_map
 from g2_recon.recording.trajectories import read_tum
 
 MOUNTED = ("-p", "laser_pose:=[0.0,0.0,0.3,0.0,0.0,0.0]")
@@ -161,6 +163,35 @@ def test_whoever_comes_late_gets_trajectory_and_map(drive):
     maps = room.collect(PointCloud2, "point_map", LATCHED)
     room.wait_until(lambda: trajectories and len(trajectories[-1].poses) == len(STEPS))
     room.wait_until(lambda: maps and maps[-1].width > 100)
+    grids = room.collect(GridMessage, "map", LATCHED)
+    room.wait_until(lambda: grids and 100 in grids[-1].data and 0 in grids[-1].data)
+    assert grids[-1].header.frame_id == "map"
+
+
+def test_the_occupancy_grid_is_published_only_when_it_has_changed(drive):
+    room = drive()
+    grids = room.collect(GridMessage, "map", LATCHED)
+    room.scan(100.0)
+    room.wait_until(lambda: grids)
+    for step in range(3):
+        room.scan(100.1 + 0.1 * step)
+    room.wait_for_poses(4)
+    with pytest.raises(AssertionError, match="in vain"):
+        room.wait_until(lambda: len(grids) > 1, seconds=2.5)
+
+
+def test_after_a_reset_the_occupancy_grid_holds_only_what_was_seen_since(drive):
+    room = drive(*MOUNTED, "-p", "keyframe_distance:=0.05", "-p", "grid_resolution:=0.1")
+    grids = room.collect(GridMessage, "map", LATCHED)
+    for step, pose in enumerate(STEPS):
+        room.scan(100.0 + 0.1 * step, pose)
+    room.wait_until(lambda: grids and 0 in grids[-1].data)
+    room.call(Trigger, "localizer_node/reset")
+    grids.clear()
+    room.scan(101.0)
+    # One scan alone decides no cell.
+    room.wait_until(lambda: grids)
+    assert set(grids[-1].data) == {-1}
 
 
 def test_time_that_jumps_back_starts_a_new_map(drive):
@@ -228,6 +259,9 @@ def test_save_writes_trajectory_and_map(drive, tmp_path):
     assert answer.success and str(tmp_path) in answer.message
     assert len(read_tum(tmp_path / "session/trajectory.tum")) == 3
     assert len(read_cloud(tmp_path / "session/point_map.ply")) > 100
+    grid = read_map(tmp_path / "session/map.yaml")
+    assert grid.at([(0.0, 0.0), (0.6, 0.0)]).tolist() == [0, 0]
+    assert (grid.cells == 100).sum() > 100
 
 
 def test_save_without_a_folder_says_which_parameter_to_set(drive):
