@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry import se2
-from g2_recon.geometry.se2_kernels import compose, relative
 from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.se2_kernels import compose, relative
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
 from g2_recon.localization.beams import INVALID, SURFACE, Beams, beams

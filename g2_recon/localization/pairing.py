@@ -202,26 +202,39 @@ def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, max_distance, 
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def pairs(poses, first, second, points, normals, kinds, firsts, increments, max_distance, sigma, step):  # type: ignore[no-untyped-def]
-    """`pair` for many: T_j_i (M, 3) of keyframes i = first, j = second, hessians (M, 3, 3), gradients, inlier counts.
+def pairs(  # type: ignore[no-untyped-def]
+    poses, first, second, points, normals, kinds, firsts, increments, max_distance, sigma
+):
+    """`pair` for many: T_j_i (M, 3) of keyframes i = first, j = second, hessians (M, 3, 3), gradients, counts.
 
     The counts (M, 2) are of inliers and of beams in view.
     """
     count = len(first)
-    T = np.empty((count, 3))
-    hessians = np.empty((count, 3, 3))
-    gradients = np.empty((count, 3))
+    T, hessians, gradients = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3))
     counts = np.empty((count, 2), np.int64)
     for m in numba.prange(count):
         i, j = first[m], second[m]
         T[m] = relative(poses[j], poses[i])
-        hessian, gradient, inliers, seen = pair(
-            T[m], i, j, points, normals, kinds, firsts, increments, max_distance, sigma, step
+        hessians[m], gradients[m], counts[m, 0], counts[m, 1] = pair(
+            T[m], i, j, points, normals, kinds, firsts, increments, max_distance, sigma, 1
         )
-        hessians[m] = hessian
-        gradients[m] = gradient
-        counts[m, 0] = inliers
-        counts[m, 1] = seen
+    return T, hessians, gradients, counts
+
+
+@numba.njit(cache=True, nogil=True)
+def few_pairs(  # type: ignore[no-untyped-def]
+    poses, first, second, points, normals, kinds, firsts, increments, max_distance, sigma
+):
+    """`pairs` on one core: for a few, where waiting for the others would take longer."""
+    count = len(first)
+    T, hessians, gradients = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3))
+    counts = np.empty((count, 2), np.int64)
+    for m in range(count):
+        i, j = first[m], second[m]
+        T[m] = relative(poses[j], poses[i])
+        hessians[m], gradients[m], counts[m, 0], counts[m, 1] = pair(
+            T[m], i, j, points, normals, kinds, firsts, increments, max_distance, sigma, 1
+        )
     return T, hessians, gradients, counts
 
 

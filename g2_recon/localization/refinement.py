@@ -51,7 +51,7 @@ def refine(
         share = min(1.0, done / (_ROUNDS - 3))
         distance = _DISTANCE_M[0] * (_DISTANCE_M[1] / _DISTANCE_M[0]) ** share
         sigma = _SIGMA_M[0] * (_SIGMA_M[1] / _SIGMA_M[0]) ** share
-        T, hessians, gradients, counts = pairing.pairs(poses, first, second, *keyframes.arrays, distance, sigma, 1)
+        T, hessians, gradients, counts = pairing.pairs(poses, first, second, *keyframes.arrays, distance, sigma)
         used = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
         seen = pose_graph.Edges(first, second, T, hessians, gradients)[used]
         edges = pose_graph.joined(seen, wheels)

@@ -65,8 +65,8 @@ class Smoother:
     def _lay(self, latest: range, segment: int) -> None:
         pairs = [(i, i - span) for i in latest for span in _SPANS if i - span >= segment]
         first, second = np.array(pairs).T
-        T, hessians, gradients, counts = pairing.pairs(
-            self._keyframes.poses, first, second, *self._keyframes.arrays, _DISTANCE_M, _KERNEL_M, 1
+        T, hessians, gradients, counts = pairing.few_pairs(
+            self._keyframes.poses, first, second, *self._keyframes.arrays, _DISTANCE_M, _KERNEL_M
         )
         fits = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
         self._edges |= {i: [] for i in latest}
