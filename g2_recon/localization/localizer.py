@@ -39,6 +39,11 @@ _BREAK_WAY_M = 300.0
 _FEWEST_SURFACES = 10
 # Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
 _UNKNOWN = np.full(3, np.nan)
+# A direction in which nothing is known has this information; how much of the error of a match stays in the map; how
+# unsure the place is where track was lost, m, m, rad.
+_LEAST_INFORMATION = 1e-4
+_DRIFT_SHARE = 0.1
+_BROKEN_SIGMA = np.array([5.0, 5.0, 0.5])
 _STANDING_M, _STANDING_RAD = 0.005, 0.004
 
 
@@ -83,6 +88,7 @@ class Localizer:
         self._last: Float = self._start
         self._lost = 0
         self._covariance: Float = np.zeros((3, 3))
+        self._covariances: list[Float] = []
         self.unmatched = 0
 
     @property
@@ -115,7 +121,7 @@ class Localizer:
         # A loop that was closed moves the present pose, too.
         if keyframe and self._close_loops():
             self._last = self._keyframes.poses[-1].copy()
-        self._covariance = np.asarray(np.linalg.inv(placement.information + 1e-6 * np.eye(3)), float)
+        self._covariance = self._uncertainty(placement)
         pose = compose(self._last, self._T_laser_base)
         if self._keep_scans:
             self._causal.append(pose)
@@ -161,6 +167,29 @@ class Localizer:
         self._smoother.add(self._wheel_steps[-1], self._tracker.segment)
         self._tracker.moved()
         self._last = self._keyframes.poses[-1].copy()
+
+    def _uncertainty(self, placement: Placement) -> Float:
+        """Covariance (3, 3) of the present pose in the map frame: of the match, and of the keyframe it hangs on.
+
+        The place of a keyframe in the map is as unsure as that of the one before, plus a share of its own match, which
+        it shares with the keyframes around it; a closed loop makes it as sure as the place that was recognized.
+        """
+        match = np.asarray(np.linalg.inv(placement.information + _LEAST_INFORMATION * np.eye(3)), float)
+        if not len(self._keyframes):
+            return match
+        if len(self._covariances) < len(self._keyframes):
+            before = self._carried(self._covariances[-1], -2) if self._covariances else np.zeros((3, 3))
+            grown = _DRIFT_SHARE * match if self._covariances else np.zeros((3, 3))
+            if self._broken[-1]:
+                grown = np.diag(_BROKEN_SIGMA**2)
+            self._covariances.append(before + grown)
+        return self._carried(self._covariances[-1], -1) + match
+
+    def _carried(self, covariance: Float, keyframe: int) -> Float:
+        """A covariance (3, 3) of a keyframe's pose as that of the present pose, were it rigidly connected."""
+        x, y, _ = self._last - self._keyframes.poses[keyframe]
+        lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        return np.asarray(lever @ covariance @ lever.T, float)
 
     def _remember(self, stamp: float, seen: Beams, pose: Float, *, keyframe: bool) -> None:
         if not len(self._keyframes):
