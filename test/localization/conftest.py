@@ -85,7 +85,7 @@ def distances_to_walls(world, points):
     return np.hypot(*np.moveaxis(points[:, None] - foot, -1, 0)).min(axis=1)
 
 
-def drive_along(way, *, step=0.125, turn=math.radians(6)):
+def drive_along(way, *, step=0.125, turn=0.1):
     """Poses (N, 3) of a robot that drives from corner to corner of a way (M, 2) and turns on the spot there."""
     way = np.asarray(way, float)
     headings = np.arctan2(*np.diff(way, axis=0).T[::-1])
