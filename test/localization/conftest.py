@@ -109,36 +109,36 @@ def keyframes_of(scans, poses):
     return keyframes
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def scan_of_room():
     return functools.partial(cast, ROOM)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def scan_of_corridor():
     return functools.partial(cast, CORRIDOR)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def scan_of_halls():
     return functools.partial(cast, HALLS)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def off_the_walls_of_the_room():
     return functools.partial(distances_to_walls, ROOM)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def way_around_the_halls():
     return AROUND
 
 
-@pytest.fixture(name="drive_along")
+@pytest.fixture(scope="session", name="drive_along")
 def _drive_along():
     return drive_along
 
 
-@pytest.fixture(name="keyframes_of")
+@pytest.fixture(scope="session", name="keyframes_of")
 def _keyframes_of():
     return keyframes_of

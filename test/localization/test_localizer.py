@@ -14,7 +14,7 @@ from g2_recon.localization.localizer import Localizer
 
 # A circle of 1 m in the room, from the identity on, at half a metre a second with ten scans a second.
 FORWARD = np.array([0.05, 0.0, 0.05])
-FULL = {"first": -math.pi, "beams": 240, "increment": 2 * math.pi / 240}
+FULL = {"first": -math.pi, "beams": 180, "increment": 2 * math.pi / 180}
 
 
 def drive(steps=100, step=FORWARD):
@@ -194,7 +194,7 @@ def test_a_laser_mounted_upside_down_gives_the_pose_of_the_robot(scan_of_room):
 
 def test_standing_still_for_long_adds_nothing_to_memory(scan_of_room):
     localizer, _ = localize(scans_of(scan_of_room, drive(20)))
-    still = [scan_of_room(drive(20)[-1], noise=0.01, seed=i) for i in range(10)]
+    still = [scan_of_room(drive(20)[-1], noise=0.01, seed=i, beams=61) for i in range(10)]
 
     def sizes():
         held = [
@@ -260,3 +260,90 @@ def test_whatever_comes_poses_are_finite(scan_of_room, garbage, odometry, sane):
     assert np.isfinite([result.pose for result in results]).all()
     assert np.isfinite([result.covariance for result in results]).all()
     assert np.isfinite(localizer.trajectory().planar()).all()
+
+
+def whole_drive(localizer, truth):
+    """Errors (N,) in m of the trajectory as it is known now."""
+    return errors(localizer.trajectory().planar(), truth)
+
+
+@pytest.fixture(scope="module")
+def truth_in_the_halls(drive_along, way_around_the_halls):
+    # Once around the block, and the first corridor again.
+    return drive_along([*way_around_the_halls, (11, 1)], step=0.25, turn=0.15)
+
+
+@pytest.fixture(scope="module")
+def scans_of_the_halls(scan_of_halls, truth_in_the_halls):
+    # It sees 6 m, and so no corridor from end to end.
+    return scans_of(scan_of_halls, truth_in_the_halls, noise=0.01, reach=6, beams=121)
+
+
+@pytest.fixture(scope="module")
+def slipping_in_the_halls(truth_in_the_halls):
+    return wheels(truth_in_the_halls, scale=(1.05, 1.0, 1.05))
+
+
+@pytest.fixture(scope="module")
+def closed(scans_of_the_halls, slipping_in_the_halls):
+    return localize(scans_of_the_halls, slipping_in_the_halls, keep_scans=True)
+
+
+def test_a_loop_of_corridors_closes_and_takes_back_the_drift(
+    closed, scans_of_the_halls, slipping_in_the_halls, truth_in_the_halls
+):
+    localizer, results = closed
+    open_one, open_results = localize(scans_of_the_halls, slipping_in_the_halls, keep_scans=True, loop_closure=False)
+    assert localizer.loops > 0
+    assert open_one.loops == 0
+    assert localizer.unmatched == 0
+    assert errors(results, truth_in_the_halls)[-1] < errors(open_results, truth_in_the_halls)[-1]
+    assert whole_drive(localizer, truth_in_the_halls).mean() < whole_drive(open_one, truth_in_the_halls).mean()
+    assert whole_drive(localizer, truth_in_the_halls).max() < 0.15
+
+
+def test_the_same_scans_give_the_same_poses_to_the_last_bit(closed, scans_of_the_halls, slipping_in_the_halls):
+    again, results = localize(scans_of_the_halls, slipping_in_the_halls, keep_scans=True)
+    assert [result.pose.tolist() for result in results] == [result.pose.tolist() for result in closed[1]]
+    assert again.trajectory().planar().tolist() == closed[0].trajectory().planar().tolist()
+
+
+def test_finishing_improves_a_drive_through_rooms(scan_of_room):
+    truth = drive()
+    localizer, _ = localize(scans_of(scan_of_room, truth, noise=0.02), keep_scans=True)
+    before = whole_drive(localizer, truth)
+    told = []
+    localizer.finish(progress=lambda *step: told.append(step))
+    after = whole_drive(localizer, truth)
+    assert after.mean() < before.mean()
+    assert told[-1][1] == told[-1][2]
+    once = localizer.trajectory().planar()
+    localizer.finish()
+    assert whole_drive(localizer, truth).mean() < before.mean()
+    assert localizer.trajectory().planar() == pytest.approx(once, abs=0.01)
+
+
+def test_a_robot_carried_away_begins_a_new_segment_that_joins_the_map_where_it_knows_its_place(
+    scan_of_halls, drive_along
+):
+    # Carried from the left corridor to the right one, where it goes on as it was headed, against its way before.
+    before = drive_along([(1, 1), (13, 1), (13, 9), (1, 9), (1, 4)], step=0.25, turn=0.15)
+    after = drive_along([(12.8, 8), (13, 1), (3, 1)], step=0.25, turn=0.15)
+    truth = np.vstack([before, after])
+    odometry = wheels(before)
+    odometry = np.vstack([odometry, wheels(after, start=odometry[-1])])
+    localizer, results = localize(scans_of(scan_of_halls, truth, **FULL), odometry, keep_scans=True)
+    lost = np.flatnonzero([not result.matched for result in results])
+    # The new segment begins once five scans in a row do not fit.
+    assert lost.tolist() == list(range(len(before), len(before) + 5))
+    assert localizer.unmatched == 5
+    assert sum(localizer._broken) == 1
+    assert localizer.loops > 0
+    assert errors(results, truth)[-1] < 0.1
+    off = whole_drive(localizer, truth)
+    assert off[: len(before)].max() < 0.15
+    assert off[len(before) + 5 :].max() < 0.15
+    localizer.finish()
+    off = whole_drive(localizer, truth)
+    assert off[: len(before)].max() < 0.1
+    assert off[len(before) + 5 :].max() < 0.1
