@@ -347,3 +347,19 @@ def test_a_robot_carried_away_begins_a_new_segment_that_joins_the_map_where_it_k
     off = whole_drive(localizer, truth)
     assert off[: len(before)].max() < 0.1
     assert off[len(before) + 5 :].max() < 0.1
+
+
+def test_no_local_map_reaches_over_a_break(scan_of_halls, scan_of_room, drive_along):
+    localizer = Localizer(LocalizationConfig(), np.eye(4))
+    before = iter(drive_along([(1, 1), (13, 1)], step=0.25))
+    # Where a local map has just begun with one keyframe.
+    while not (localizer._loops.maps and localizer._map_begins == len(localizer._keyframes) - 1):
+        localizer.process(scan_of_halls(next(before), **FULL))
+    for pose in drive(120, 2 * FORWARD):
+        localizer.process(scan_of_room(pose, **FULL))
+    assert sum(localizer._broken) == 1
+    covered = [k for local in localizer._loops.maps for k in range(local.first, local.last)]
+    assert covered == list(range(len(covered)))
+    assert len(localizer._loops.maps) > 2
+    for local in localizer._loops.maps:
+        assert not any(localizer._broken[local.first + 1 : local.last])
