@@ -25,10 +25,10 @@ def drive(steps=100, step=FORWARD):
 
 
 def wheels(truth, *, scale=(1.0, 1.0, 1.0), start=(7.0, -3.0, 2.0)):
-    """Odometry (N, 3) of a drive, its steps scaled, from a start of its own on."""
+    """Odometry (N, 3) of a drive, its steps scaled, each alike (3,) or on its own (N - 1, 3)."""
     poses = [np.array(start)]
-    for step in se2.relative(truth[:-1], truth[1:]):
-        poses.append(se2.compose(poses[-1], step * scale))
+    for step in se2.relative(truth[:-1], truth[1:]) * scale:
+        poses.append(se2.compose(poses[-1], step))
     return np.array(poses)
 
 
@@ -281,46 +281,60 @@ def scans_of_the_halls(scan_of_halls, truth_in_the_halls):
 
 @pytest.fixture(scope="module")
 def slipping_in_the_halls(truth_in_the_halls):
-    return wheels(truth_in_the_halls, scale=(1.05, 1.0, 1.05))
+    # In the third corridor, which comes back, the wheels claim 30 % too much.
+    return wheels(truth_in_the_halls, scale=np.where(truth_in_the_halls[1:, 1:2] > 8.5, (1.3, 1, 1), (1, 1, 1)))
 
 
 @pytest.fixture(scope="module")
-def closed(scans_of_the_halls, slipping_in_the_halls):
-    return localize(scans_of_the_halls, slipping_in_the_halls, keep_scans=True)
+def in_the_halls(scans_of_the_halls, slipping_in_the_halls):
+    """What comes out with the settings given: the poses as they came, at the end, and after `finish`."""
+
+    def run(**configured):
+        localizer, results = localize(scans_of_the_halls, slipping_in_the_halls, keep_scans=True, **configured)
+        as_they_came, at_the_end = np.array([result.pose for result in results]), localizer.trajectory().planar()
+        localizer.finish()
+        return localizer, as_they_came, at_the_end, localizer.trajectory().planar()
+
+    return run
 
 
-def test_a_loop_of_corridors_closes_and_takes_back_the_drift(
-    closed, scans_of_the_halls, slipping_in_the_halls, truth_in_the_halls
-):
-    localizer, results = closed
-    open_one, open_results = localize(scans_of_the_halls, slipping_in_the_halls, keep_scans=True, loop_closure=False)
+@pytest.fixture(scope="module")
+def closed(in_the_halls):
+    return in_the_halls()
+
+
+def test_a_loop_of_corridors_closes_and_takes_back_the_drift(closed, in_the_halls, truth_in_the_halls):
+    localizer, came, end, _ = closed
+    drifted, drifted_came, drifted_end, _ = in_the_halls(loop_closure=False)
     assert localizer.loops > 0
-    assert open_one.loops == 0
+    assert drifted.loops == 0
     assert localizer.unmatched == 0
-    assert errors(results, truth_in_the_halls)[-1] < errors(open_results, truth_in_the_halls)[-1]
-    assert whole_drive(localizer, truth_in_the_halls).mean() < whole_drive(open_one, truth_in_the_halls).mean()
-    assert whole_drive(localizer, truth_in_the_halls).max() < 0.15
+    # More than a metre, and a third of it.
+    assert errors(drifted_came, truth_in_the_halls)[-1] > 0.8
+    assert errors(came, truth_in_the_halls)[-1] < 0.6 * errors(drifted_came, truth_in_the_halls)[-1]
+    assert errors(end, truth_in_the_halls).mean() < 0.7 * errors(drifted_end, truth_in_the_halls).mean()
 
 
-def test_the_same_scans_give_the_same_poses_to_the_last_bit(closed, scans_of_the_halls, slipping_in_the_halls):
-    again, results = localize(scans_of_the_halls, slipping_in_the_halls, keep_scans=True)
-    assert [result.pose.tolist() for result in results] == [result.pose.tolist() for result in closed[1]]
-    assert again.trajectory().planar().tolist() == closed[0].trajectory().planar().tolist()
+def test_finishing_improves_a_drive_whose_wheels_slipped(closed, truth_in_the_halls):
+    _, _, end, finished = closed
+    assert errors(finished, truth_in_the_halls).mean() < 0.9 * errors(end, truth_in_the_halls).mean()
 
 
-def test_finishing_improves_a_drive_through_rooms(scan_of_room):
+def test_the_same_scans_give_the_same_poses_to_the_last_bit(closed, in_the_halls):
+    again = in_the_halls()
+    for one, other in zip(closed[1:], again[1:], strict=True):
+        assert one.tolist() == other.tolist()
+
+
+def test_finishing_keeps_a_drive_that_is_right(scan_of_room):
     truth = drive()
     localizer, _ = localize(scans_of(scan_of_room, truth, noise=0.02), keep_scans=True)
-    before = whole_drive(localizer, truth)
     told = []
-    localizer.finish(progress=lambda *step: told.append(step))
-    after = whole_drive(localizer, truth)
-    assert after.mean() < before.mean()
-    assert told[-1][1] == told[-1][2]
-    once = localizer.trajectory().planar()
-    localizer.finish()
-    assert whole_drive(localizer, truth).mean() < before.mean()
-    assert localizer.trajectory().planar() == pytest.approx(once, abs=0.01)
+    for _ in range(2):
+        localizer.finish(progress=lambda *step: told.append(step))
+        # Noise of 2 cm a beam leaves some millimetres.
+        assert whole_drive(localizer, truth).mean() < 0.01
+    assert told[-1] == ("refinement", 10, 10)
 
 
 def test_a_robot_carried_away_begins_a_new_segment_that_joins_the_map_where_it_knows_its_place(
