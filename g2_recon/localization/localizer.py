@@ -147,7 +147,8 @@ class Localizer:
         moved = relative(self._keyframes.poses[-1], placement.pose)
         way, turn = math.hypot(moved[0], moved[1]), abs(moved[2])
         if self._lost >= _PATIENCE and surfaces >= _FEWEST_SURFACES:
-            self._finish_local_map()
+            # Even a lone keyframe: no local map may reach over the break.
+            self._finish_local_map(fewest=1)
             self._tracker.segment = len(self._keyframes)
             self._add_keyframe(seen, placement.pose, _BREAK_WAY_M, broken=True)
             self._lost = 0
@@ -223,9 +224,9 @@ class Localizer:
         self._follow(before)
         return True
 
-    def _finish_local_map(self, *, leave_last: bool = False) -> int | None:
+    def _finish_local_map(self, *, leave_last: bool = False, fewest: int = _FEWEST_KEYFRAMES) -> int | None:
         first, last = self._map_begins, len(self._keyframes) - leave_last
-        if last - first < _FEWEST_KEYFRAMES:
+        if last - first < fewest:
             return None
         self._map_begins = last
         return self._loops.add(first, last, self._ways[(first + last) // 2])

@@ -47,7 +47,8 @@ def nearest_beam(  # type: ignore[no-untyped-def]
     center = round(offset / increment)
     reach = int(min(max_distance / distance, _WIDEST_SEARCH) / increment) + 1
     turn = round(2 * math.pi / increment)
-    closed = count >= turn - 1
+    # Beyond the last beam comes the first, in a full turn or where what lies between them is narrower than the search.
+    closed = count + 2 * reach >= turn
     if not closed and center - reach >= count:
         # The bearing may be just before the first beam.
         center -= turn

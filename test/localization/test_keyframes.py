@@ -1,0 +1,37 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+
+from g2_recon.localization.beams import INVALID, Beams
+from g2_recon.localization.keyframes import Keyframes
+
+
+def some_beams(count, seed):
+    rng = np.random.default_rng(seed)
+    kinds = rng.integers(0, 3, count).astype(np.uint8)
+    return Beams(rng.normal(size=(count, 2)), rng.normal(size=(count, 2)), kinds, rng.normal(), rng.uniform(0.01, 0.1))
+
+
+def test_keyframes_keep_what_was_added_while_they_grow_in_number_and_in_width():
+    keyframes = Keyframes()
+    added = [some_beams(count, seed) for seed, count in enumerate(np.random.default_rng(0).integers(0, 30, 600))]
+    for index, each in enumerate(added):
+        assert keyframes.add(each, np.full(3, float(index))) == index
+    assert len(keyframes) == 600
+    assert keyframes.poses.tolist() == [[i] * 3 for i in range(600)]
+    points, normals, kinds, firsts, increments = keyframes.arrays
+    for index, each in enumerate(added):
+        count = len(each.points)
+        assert points[index, :count].tolist() == each.points.tolist()
+        assert normals[index, :count].tolist() == each.normals.tolist()
+        assert kinds[index, :count].tolist() == each.kinds.tolist()
+        assert (kinds[index, count:] == INVALID).all()
+        assert (firsts[index], increments[index]) == (each.first, each.increment)
+
+
+def test_poses_can_be_improved_in_place():
+    keyframes = Keyframes()
+    keyframes.add(some_beams(5, 0), np.zeros(3))
+    keyframes.poses[:] = 7.0
+    keyframes.add(some_beams(9, 1), np.ones(3))
+    assert keyframes.poses.tolist() == [[7, 7, 7], [1, 1, 1]]

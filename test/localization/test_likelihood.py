@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from g2_recon.geometry import se2
+from g2_recon.localization import likelihood
+from g2_recon.localization.beams import beams
+
+RESOLUTION = 0.1
+POSE = np.array([0.5, 0.3, 0.4])
+CORNER = np.array([-6.0, -6.0])
+TURN = math.radians(1)
+
+
+def seen(scan):
+    return beams(scan, range_min=0.1, range_max=40.0)
+
+
+def drawn(scan, pose, cells=140):
+    grid = np.zeros((cells, cells), np.uint8)
+    b = seen(scan)
+    likelihood.splat(grid, b.points, b.kinds, pose, *CORNER, RESOLUTION, likelihood.bell(RESOLUTION, 0.12))
+    return grid
+
+
+def plain_score(grid, points, pose):
+    cells = ((se2.transform_points(pose, points) - CORNER) / RESOLUTION).astype(int)
+    inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
+    return grid[tuple(cells[inside].T)].astype(int).sum() / (255 * len(points))
+
+
+def test_the_bell_is_full_in_the_middle_and_falls_off_as_a_normal_distribution():
+    bell = likelihood.bell(0.1, 0.12)
+    assert bell[2, 2] == 255
+    assert bell[2, 3] == bell[1, 2] == int(255 * math.exp(-0.5 * (0.1 / 0.12) ** 2))
+    assert (bell == bell.T).all()
+    assert (bell == bell[::-1]).all()
+
+
+def test_a_grid_holds_the_largest_likelihood_of_all_points_and_ends_before_its_border(scan_of_room):
+    bell = likelihood.bell(RESOLUTION, 0.12)
+    points = np.array([[0.05, 0.05], [0.15, 0.05], [-5.85, 0.0], [7.9, 0.0], [-99.0, 0.0], [1.0, 1.0]])
+    kinds = np.array([1, 2, 1, 1, 1, 0], np.uint8)
+    grid = np.zeros((140, 140), np.uint8)
+    likelihood.splat(grid, points, kinds, np.zeros(3), *CORNER, RESOLUTION, bell)
+    expected = np.zeros((140, 140), np.uint8)
+    for x in (60, 61):
+        patch = expected[x - 2 : x + 3, 58:63]
+        patch[:] = np.maximum(patch, bell)
+    assert grid.tolist() == expected.tolist()
+
+
+def test_the_score_is_the_mean_likelihood_of_the_points(scan_of_room):
+    scan = scan_of_room(POSE, noise=0.02)
+    scan.ranges[::7] = np.nan
+    grid, b = drawn(scan, POSE), seen(scan)
+    assert likelihood.score(grid, b.points, b.kinds, POSE, *CORNER, RESOLUTION) == 1.0
+    for off in ((0.1, 0, 0), (0, -0.3, 0.05), (3, 3, 0), (6, 6, 1)):
+        score = likelihood.score(grid, b.points, b.kinds, POSE + off, *CORNER, RESOLUTION)
+        assert score == pytest.approx(plain_score(grid, b.points[b.kinds > 0], POSE + off))
+
+
+def search(grid, b, guess, turns=6, shifts=2, step=1):
+    return likelihood.search(
+        grid, b.points, b.kinds, np.array(guess, float), *CORNER, RESOLUTION, turns, TURN, shifts, step
+    )
+
+
+@pytest.mark.parametrize("step", [1, 3])
+@pytest.mark.parametrize("off", [(0, 0, 0), (0.13, -0.2, 0.05), (-0.2, 0.1, -0.1)])
+def test_the_search_finds_what_trying_all_finds(scan_of_room, off, step):
+    grid, b = drawn(scan_of_room(POSE), POSE), seen(scan_of_room(POSE))
+    guess = POSE + off
+    best = -1.0
+    used = b.points[::step][b.kinds[::step] > 0]
+    for a, u, v in itertools.product(range(-6, 7), range(-2, 3), range(-2, 3)):
+        pose = guess + (u * RESOLUTION, v * RESOLUTION, a * TURN)
+        favor = 1 - 0.003 * abs(a) - 0.02 * math.hypot(u, v)
+        best = max(best, plain_score(grid, used, pose) * favor)
+    found, score = search(grid, b, guess, step=step)
+    assert score == pytest.approx(best, abs=1e-12)
+    away = np.abs(found - POSE)
+    # A cell and a step of turning.
+    assert away[:2].max() <= RESOLUTION
+    assert away[2] <= 1.5 * TURN
+
+
+def test_a_guess_is_kept_where_nothing_speaks_against_it(scan_of_room):
+    scan = scan_of_room(POSE)
+    found, score = search(np.zeros((140, 140), np.uint8), seen(scan), POSE)
+    assert (found.tolist(), score) == (POSE.tolist(), 0.0)
+    found, score = search(drawn(scan, POSE), seen(scan), POSE)
+    assert found.tolist() == POSE.tolist()
+    assert score == 1.0
+
+
+@pytest.mark.parametrize("far", [(7.0, 0, 0), (-6.0, -6.0, 0), (500, 0, 0), (0, -1e6, 2)])
+def test_a_search_beyond_the_grid_finds_little_and_stays_in_its_window(scan_of_room, far):
+    guess = POSE + far
+    found, score = search(drawn(scan_of_room(POSE), POSE), seen(scan_of_room(POSE)), guess)
+    assert 0 <= score < 0.5
+    assert np.abs(found - guess)[:2].max() <= 0.2 + 1e-9
+    assert abs(found[2] - guess[2]) <= 6 * TURN + 1e-9
