@@ -24,8 +24,8 @@ _MOST_NEIGHBORS = 10
 _APART = 2
 _LEAST_WAY_M = 3.0
 _ROUNDS = 10
-_DISTANCE_M = (1.2, 0.12)
-_SIGMA_M = (0.3, 0.045)
+_DISTANCE_M = (0.8, 0.12)
+_SIGMA_M = (0.2, 0.045)
 _LEAST_INLIERS, _FEWEST_INLIERS = 0.4, 30
 _PAIR_SIGMA_M = 0.05
 _WHEEL_WEIGHT, _WHEEL_KERNEL = 25.0, 9.0
@@ -73,7 +73,7 @@ def _wheel_edges(smoothed: Float, odometry: Float, broken: NDArray[np.bool_]) ->
     T[known, :2] = odometry[known, :2]
     length, turn = np.hypot(smoothed[:, 0], smoothed[:, 1]), np.abs(smoothed[:, 2])
     information = np.zeros((len(T), 3, 3))
-    along = np.where(known, _WHEEL_WEIGHT, 1.0) * (_PAIR_SIGMA_M / (0.02 + 0.1 * length)) ** 2
+    along = _WHEEL_WEIGHT * (_PAIR_SIGMA_M / (0.02 + 0.1 * length)) ** 2
     information[:, 0, 0] = information[:, 1, 1] = along
     information[:, 2, 2] = (_PAIR_SIGMA_M / (0.02 + 0.2 * turn)) ** 2
     information[broken] *= _BROKEN
