@@ -38,6 +38,10 @@ _PATIENCE = 5
 _BREAK_WAY_M = 300.0
 _FEWEST_SURFACES = 10
 # Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
+# Beams are moved to the stamp of their scan by the velocity since the last one, if that was not longer ago; no robot
+# indoors is faster, m/s, m/s, rad/s.
+_LONGEST_STEP_S = 1.0
+_FASTEST = np.array([5.0, 5.0, 5.0])
 _UNKNOWN = np.full(3, np.nan)
 # A direction in which nothing is known has this information; how much of the error of a match stays in the map; how
 # unsure the place is where track was lost, m, m, rad.
@@ -86,6 +90,8 @@ class Localizer:
         self._causal: list[Float] = []
         self._scans: list[Beams | None] = []
         self._last: Float = self._start
+        self._stamp = -math.inf
+        self._twist: Float = np.zeros(3)
         self._lost = 0
         self._covariance: Float = np.zeros((3, 3))
         self._covariances: list[Float] = []
@@ -106,14 +112,19 @@ class Localizer:
 
         odometry: (3,) x, y, yaw of T_odom_base when the scan was taken; None or NaN where unknown.
         """
+        step = self._odometry.step(scan.stamp, odometry)
+        elapsed = scan.stamp - self._stamp
         seen = beams(
             scan,
             range_min=self._config.min_range,
             range_max=self._config.max_range,
             upside_down=self._upside_down,
+            twist=self._twist if step is None else _velocity(step, elapsed),
         )
-        step = self._odometry.step(scan.stamp, odometry)
+        before = self._last
         placement = self._place(seen, step)
+        self._twist = _velocity(relative(before, placement.pose), elapsed)
+        self._stamp = scan.stamp
         self._wheels_since = compose(self._wheels_since, _UNKNOWN if step is None else step)
         self._last = placement.pose
         keyframe = self._grow_map(seen, placement)
@@ -322,3 +333,10 @@ class Localizer:
         cloud = np.concatenate([np.empty((0, 2)), *scans])
         cell = np.floor(cloud / self._config.map_spacing).astype(np.int64)
         return cloud[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
+
+
+def _velocity(step: Float, elapsed: float) -> Float:
+    """A step (3,) a second, m/s and rad/s; 0 where the time is no help: equal, backward or far apart stamps."""
+    if not 0 < elapsed < _LONGEST_STEP_S:
+        return np.zeros(3)
+    return np.asarray(np.clip(step / elapsed, -_FASTEST, _FASTEST))
