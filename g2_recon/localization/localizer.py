@@ -46,7 +46,7 @@ _UNKNOWN = np.full(3, np.nan)
 # A direction in which nothing is known has this information; how much of the error of a match stays in the map; how
 # unsure the place is where track was lost, m, m, rad.
 _LEAST_INFORMATION = 1e-4
-_DRIFT_SHARE = 0.1
+_DRIFT_SHARE = 0.01
 _BROKEN_SIGMA = np.array([5.0, 5.0, 0.5])
 _STANDING_M, _STANDING_RAD = 0.005, 0.004
 
