@@ -14,8 +14,6 @@ import argparse
 import importlib.util
 import json
 import os
-import re
-import resource
 import subprocess
 import sys
 import time
@@ -26,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from report import peak_mb
 
 Float = NDArray[np.float64]
 Triangles = tuple[NDArray[Any], NDArray[Any]]
@@ -182,14 +181,6 @@ def measure(method: Method, cloud: Path, mesh: Path, repeats: int, spacing: floa
     cost = {"seconds": min(seconds), "cpu_seconds": min(cpu_seconds), "peak_mb": peak_mb(), "points": len(points)}
     np.savez(mesh, vertices=vertices, faces=faces)
     return cost
-
-
-def peak_mb() -> float:
-    """Largest memory of this process so far; getrusage on Linux counts that of the process that started it, too."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        return float(re.search(r"VmHWM:\s+(\d+) kB", status.read_text())[1]) / 1024  # type: ignore[index]
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def call(python: str, *arguments: object) -> dict[str, Any]:

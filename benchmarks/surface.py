@@ -15,25 +15,24 @@ import argparse
 import functools
 import gzip
 import io
-import json
 import logging
-import os
-import platform
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import clouds
 import numpy as np
 import peers
+import report
 import trimesh
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
+from report import Row, Table
 from scipy.spatial.transform import Rotation
 
 from g2_recon import pictures
@@ -45,8 +44,6 @@ from g2_recon.reconstruction.reconstructor import reconstruct
 from g2_recon.recording.clouds import read_cloud
 
 log = logging.getLogger("benchmarks")
-
-Row = dict[str, Any]
 
 SHARED = ("floor_rot", "floor_s3", "floor_out", "floor_drift", "cubes", "curved")
 # Other spacings than 20 cm; the two clouds are of things of 1 m.
@@ -63,30 +60,6 @@ normals: mean |cos| between normals, both ways. open: boundary edges (loops). ba
 cross: share of faces that cross others, in %, and MeshLab's count where pymeshlab is installed (it counts touching
 faces, too). parts: connected components. s: wall time of a run after one on a few points; MB: peak memory of the whole
 process."""
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table: sections of rows, each row a value a column."""
-
-    title: str
-    note: str
-    sections: dict[str, list[Row]]
-    pictures: list[str] = field(default_factory=list)
-
-    def markdown(self) -> str:
-        """As in docs/benchmarks.md."""
-        lines = [f"## {self.title}", "", self.note, ""]
-        for title, rows in self.sections.items():
-            if not rows:
-                continue
-            columns = list(dict.fromkeys(column for row in rows for column in row))
-            lines += [f"### {title}", ""] if title else []
-            lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-            lines += ["| " + " | ".join(str(row.get(column, "")) for column in columns) + " |" for row in rows]
-            lines.append("")
-        lines += [line for picture in self.pictures for line in (f"![{Path(picture).stem}]({picture})", "")]
-        return "\n".join(lines)
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,19 +392,8 @@ TABLES: dict[str, Callable[[Bench], Table]] = {
 }
 
 
-def machine() -> str:
-    """What this ran on, in words."""
-    info = Path("/proc/cpuinfo")
-    models = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
-    model = models[0] if models else platform.processor()
-    return f"{os.cpu_count()} cores of {model}, Python {platform.python_version()}, NumPy {np.__version__}"
-
-
 def page(out: Path) -> str:
     """All tables that are in a folder, as one page."""
-    found = [out / f"{name}.json" for name in TABLES if (out / f"{name}.json").exists()]
-    read = [json.loads(path.read_text()) for path in found]
-    where = sorted({entry["machine"] for entry in read})
     names = ", ".join(TABLES)
     head = f"""\
 # Benchmarks of the surfaces
@@ -447,10 +409,8 @@ copied from there.
 names its Python. FOLDER holds `surfaces/` with clouds and their truth (NPZ, as `benchmarks/clouds.py` writes them),
 `meshes/` and `sweeps/pcl_room/`; without `--data` only the clouds are used that `benchmarks/clouds.py` makes: buildings
 that are known exactly, scanned by an upright LMS200 that drives through them.
-
-Here: {"; ".join(where)}.
 """
-    return "\n".join([head, *(Table(**entry["table"]).markdown() for entry in read)]).rstrip() + "\n"
+    return report.page(head, [out / f"{name}.json" for name in TABLES])
 
 
 def main() -> None:
@@ -481,8 +441,7 @@ def main() -> None:
             scratch=Path(scratch),
         )
         for name in given.only:
-            entry = {"machine": machine(), "table": asdict(TABLES[name](bench))}
-            (given.out / f"{name}.json").write_text(json.dumps(entry, indent=1) + "\n")
+            report.save(given.out / f"{name}.json", TABLES[name](bench))
             (given.out / "benchmarks.md").write_text(page(given.out))
     log.info("%s", given.out / "benchmarks.md")
 

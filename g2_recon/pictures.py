@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,29 @@ _AMBIENT = 0.35
 _CEILING = -0.7
 
 
+@dataclass(frozen=True, slots=True)
+class FloorPlan:
+    """point_map: (N, 2) m. trajectory: the way of the robot in it. grid: what goes under it, if there is one."""
+
+    point_map: Float
+    trajectory: Trajectory
+    grid: OccupancyGrid | None = None
+
+    def size(self) -> Float:
+        """Width and height (2,) of what is to be seen, in metres, at least one."""
+        shown = self._shown()
+        return np.maximum(np.ptp(shown, axis=0), 1.0) if len(shown) else np.ones(2)
+
+    def limits(self) -> Float:
+        """Corners (2, 2) of what is to be seen, with a margin."""
+        shown, margin = self._shown(), _MARGIN * self.size()
+        return np.array([shown.min(axis=0) - margin, shown.max(axis=0) + margin])
+
+    def _shown(self) -> Float:
+        outline = [] if self.grid is None else [self.grid.outline()]
+        return np.vstack([self.point_map, self.trajectory.positions[:, :2], *outline])
+
+
 def draw_floor_plan(
     path: str | Path, point_map: Float, trajectory: Trajectory, grid: OccupancyGrid | None = None
 ) -> None:
@@ -41,17 +65,31 @@ def draw_floor_plan(
 
     Under it goes the occupancy grid, where there is one: free white, occupied black, unknown gray.
     """
-    shown = np.vstack([point_map, trajectory.positions[:, :2], *([] if grid is None else [grid.outline()])])
-    size = np.maximum(np.ptp(shown, axis=0), 1.0) if len(shown) else np.ones(2)
+    plan = FloorPlan(point_map, trajectory, grid)
+    size = plan.size()
     figure = Figure(figsize=(10, float(np.clip(10 * size[1] / size[0], 4, 16))), layout="constrained")
-    axes = figure.add_subplot()
+    _draw_plan(figure.add_subplot(), plan, title=f"{len(trajectory)} scans, {trajectory.length():.1f} m")
+    _save(figure, path)
+
+
+def draw_floor_plans(path: str | Path, plans: Sequence[FloorPlan], titles: Sequence[str]) -> None:
+    """Floor plans as `draw_floor_plan` draws them, two in a row, each under its title."""
+    columns = min(len(plans), 2)
+    rows = -(-len(plans) // columns)
+    figure = Figure(figsize=(6.5 * columns, 5.5 * rows), layout="constrained")
+    for number, (plan, title) in enumerate(zip(plans, titles, strict=True), start=1):
+        _draw_plan(figure.add_subplot(rows, columns, number), plan, title=title)
+    _save(figure, path)
+
+
+def _draw_plan(axes, plan: FloorPlan, *, title: str) -> None:  # type: ignore[no-untyped-def]
+    point_map, grid = plan.point_map, plan.grid
     if grid is not None and grid.cells.size:
         _draw_grid(axes, grid)
     # A dot stands for a few centimetres of wall, however large the building is.
-    axes.scatter(
-        point_map[:, 0], point_map[:, 1], s=float(np.clip(4e3 / size.max() ** 2, 0.3, 6)), c="black", linewidths=0
-    )
-    way = trajectory.positions[:, :2]
+    dot = float(np.clip(4e3 / plan.size().max() ** 2, 0.3, 6))
+    axes.scatter(point_map[:, 0], point_map[:, 1], s=dot, c="black", linewidths=0)
+    way = plan.trajectory.positions[:, :2]
     if len(way) > 1:
         lines = LineCollection(
             list(np.stack([way[:-1], way[1:]], axis=1)), array=np.arange(len(way) - 1), cmap=_PATH, lw=1.2
@@ -64,10 +102,9 @@ def draw_floor_plan(
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     if grid is not None and grid.cells.size:
         # An image sets limits of its own, and does not know that it was turned.
-        low, high, margin = shown.min(axis=0), shown.max(axis=0), _MARGIN * size
-        axes.set(xlim=(low[0] - margin[0], high[0] + margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
-    axes.set_title(f"{len(way)} scans, {trajectory.length():.1f} m")
-    _save(figure, path)
+        low, high = plan.limits()
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    axes.set_title(title)
 
 
 def _draw_grid(axes, grid: OccupancyGrid) -> None:  # type: ignore[no-untyped-def]

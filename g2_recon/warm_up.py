@@ -18,8 +18,7 @@ from g2_recon.reconstruction.reconstructor import reconstruct
 
 def warm_up() -> None:
     """Run every kernel once on a few points; Numba keeps what it compiles on disk."""
-    for method in ("graph", "paper"):
-        _drive_up_and_down(LocalizationConfig(method=method))
+    warm_up_localization()
     for with_sensor in (True, False):
         cloud = _corner_of_a_room(with_sensor=with_sensor)
         reconstruct(cloud, ReconstructionConfig())
@@ -28,6 +27,12 @@ def warm_up() -> None:
     published = ReconstructionConfig(mode="paper", clusters=4, passes=50)
     for other in ({}, {"training": "batch"}, {"clustering": "neural_gas", "presentations": 100, "passes": 1}):
         reconstruct(cloud, published.model_copy(update=other))
+
+
+def warm_up_localization() -> None:
+    """The same for the kernels of localization only."""
+    for method in ("graph", "paper"):
+        _drive_up_and_down(LocalizationConfig(method=method))
 
 
 def _drive_up_and_down(config: LocalizationConfig) -> None:

@@ -112,3 +112,15 @@ def test_wire_meshes_are_drawn_side_by_side(tmp_path, wires):
     height, width = imread(tmp_path / "wires.png").shape[:2]
     # Seven inches each, three high.
     assert width / height == pytest.approx(7 * len(wires) / 3, rel=0.01)
+
+
+def test_floor_plans_stand_side_by_side(tmp_path):
+    way = Trajectory.from_se2(np.arange(2.0), np.zeros((2, 3)))
+    cells = {name: np.full((80, 60), value, np.int8) for name, value in (("walls", 100), ("free", 0))}
+    plans = [
+        pictures.FloorPlan(np.empty((0, 2)), way, OccupancyGrid(0.05, np.array([-1.0, -2.0, 0.0]), cells[name]))
+        for name in ("walls", "free")
+    ]
+    pictures.draw_floor_plans(tmp_path / "plans.png", plans, ["walls", "free"])
+    left, right = np.array_split(imread(tmp_path / "plans.png")[..., :3], 2, axis=1)
+    assert np.mean(left < 0.02) > 0.3 and np.mean(right < 0.02) < 0.05
