@@ -264,14 +264,15 @@ def match(  # type: ignore[no-untyped-def]
 
     Returns the pose (3,), the share of inliers, the hessian (3, 3) of one keyframe with the prior, and the beams seen.
 
-    Gauss-Newton; search distance and sigma (m) shrink geometrically. prior: (3, 3) information of the guess in the
+    Gauss-Newton; search distance and sigma (m) shrink geometrically over so many iterations; twice as many are run
+    where the scan has not come to rest by then. prior: (3, 3) information of the guess in the
     units of the hessian.
     """
     pose = start.copy()
     total = np.zeros((3, 3))
     inliers = seen = 0
     count = max(1, len(references))
-    for iteration in range(iterations):
+    for iteration in range(2 * iterations):
         share = min(1.0, iteration / max(1, iterations - 3))
         distance = max_distance * (min_distance / max_distance) ** share
         sigma = max_sigma * (min_sigma / max_sigma) ** share

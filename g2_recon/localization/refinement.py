@@ -73,7 +73,7 @@ def _wheel_edges(smoothed: Float, odometry: Float, broken: NDArray[np.bool_]) ->
     T[known, :2] = odometry[known, :2]
     length, turn = np.hypot(smoothed[:, 0], smoothed[:, 1]), np.abs(smoothed[:, 2])
     information = np.zeros((len(T), 3, 3))
-    along = _WHEEL_WEIGHT * (_PAIR_SIGMA_M / (0.02 + 0.1 * length)) ** 2
+    along = np.where(known, _WHEEL_WEIGHT, 1.0) * (_PAIR_SIGMA_M / (0.02 + 0.1 * length)) ** 2
     information[:, 0, 0] = information[:, 1, 1] = along
     information[:, 2, 2] = (_PAIR_SIGMA_M / (0.02 + 0.2 * turn)) ** 2
     information[broken] *= _BROKEN

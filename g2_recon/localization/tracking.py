@@ -21,7 +21,9 @@ from g2_recon.localization.keyframes import Keyframes
 Float = NDArray[np.float64]
 
 # The keyframes that a scan is laid on, counted back from the latest; the first few also have to agree with it.
-_REFERENCES = np.array([1, 2, 3, 5, 8, 11, 15])
+# Where the wheels say where to look, fewer will do.
+_FEW_REFERENCES = np.array([1, 2, 3, 5, 8, 11, 15])
+_REFERENCES = np.array([1, 2, 3, 4, 6, 8, 10, 12, 14, 16])
 _WITNESSES = 5
 # What is drawn into the likelihood grid: so many keyframes, into cells of this size, blurred by this, m.
 _DRAWN = 25
@@ -36,7 +38,8 @@ _CLIMBS = 3
 _FOUND_SIGMA = np.array([0.05, 0.05, 0.1])
 
 # Search distance and width of the robust kernel, first to last iteration, m.
-_DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.35, 0.12), (0.08, 0.045), 5
+_DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.35, 0.12), (0.08, 0.045), 10
+_FEW_ITERATIONS = 5
 PAIR_SIGMA_M = 0.05
 """What one pair of points is trusted with, against wheels and guesses; neighboring beams err together."""
 
@@ -45,7 +48,9 @@ PAIR_SIGMA_M = 0.05
 _GOOD, _FAIR, _AS_BEFORE, _MEMORY = 0.95, 0.85, 0.05, 20
 LEAST_QUALITY = 0.6
 # Another prediction has to be better by this than one that is likelier, or by this after a mere search.
-_MARGIN, _SEARCH_MARGIN = 0.08, 0.02
+_MARGIN, _SEARCH_MARGIN, _INLIER_MARGIN = 0.08, 0.02, 0.1
+# A match is not searched for where it lies within so many sigma of where the wheels say.
+_LIKELY_SIGMAS = 2.0
 # Over so many steps odometry may come late: it stands still while the robot drives, and then jumps.
 _LATE = (2, 3, 4, 6, 8, 12)
 _FEWEST_SURFACES = 10
@@ -103,14 +108,14 @@ class Tracker:
         guess = compose(last, likeliest)
         if np.count_nonzero(beams.kinds == SURFACE) < _FEWEST_SURFACES:
             return Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
-        best = self._lay(beams, guess, sigma)
-        if step is not None and self._good(best):
+        best = self._lay(beams, guess, sigma, few=step is not None)
+        if step is not None and self._good(best) and _near(best.pose, guess, sigma):
             return best
         margin = _SEARCH_MARGIN
         for predicted, uncertainty in [(likeliest, sigma), *predictions]:
             guess = compose(last, predicted)
             other = self._found(beams, guess, uncertainty if step is not None else None)
-            if other.quality > best.quality + margin:
+            if other.quality > best.quality + margin or _fits_better(other, best):
                 best = other
             if self._good(best):
                 break
@@ -148,10 +153,12 @@ class Tracker:
             if back in _LATE:
                 yield relative(found, claimed)
 
-    def _lay(self, beams: Beams, start: Float, sigma: Float, guess: Float | None = None) -> Placement:
+    def _lay(
+        self, beams: Beams, start: Float, sigma: Float, guess: Float | None = None, *, few: bool = False
+    ) -> Placement:
         """Match from a start; the guess (the start, if none is given) with its sigma holds what the scan does not."""
         keyframes = self._keyframes
-        back = len(keyframes) - _REFERENCES
+        back = len(keyframes) - (_FEW_REFERENCES if few else _REFERENCES)
         references = back[back >= self.segment]
         prior = np.diag((PAIR_SIGMA_M / sigma) ** 2)
         pose, inliers, hessian, _ = pairing.match(
@@ -159,7 +166,7 @@ class Tracker:
             start if guess is None else guess,
             *(beams.points, beams.normals, beams.kinds),
             *(references, keyframes.poses, *keyframes.arrays),
-            *(*_DISTANCE_M, *_KERNEL_M, _ITERATIONS, prior),
+            *(*_DISTANCE_M, *_KERNEL_M, _FEW_ITERATIONS if few else _ITERATIONS, prior),
         )
         points, _, kinds, firsts, increments = keyframes.arrays
         same, against = pairing.agreements(
@@ -198,3 +205,14 @@ class Tracker:
         for k in range(max(self.segment, count - _DRAWN), count):
             likelihood.splat(self._grid, points[k], kinds[k], poses[k], x, y, _RESOLUTION_M, self._bell)
         self._drawn = True
+
+
+def _near(pose: Float, guess: Float, sigma: Float) -> bool:
+    """Whether a pose (3,) is where a guess with this sigma (3,) lets one expect it."""
+    off = relative(guess, pose)
+    return bool((np.abs(off) <= _LIKELY_SIGMAS * sigma).all())
+
+
+def _fits_better(one: Placement, other: Placement) -> bool:
+    """Whether of two that agree alike the one has clearly more inliers."""
+    return one.quality > other.quality - _SEARCH_MARGIN and one.inliers > other.inliers + _INLIER_MARGIN
