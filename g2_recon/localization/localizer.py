@@ -21,8 +21,9 @@ from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.localized_scan import LocalizedScan
 from g2_recon.localization.loop_closure import LoopCloser
 from g2_recon.localization.odometry import OdometrySteps
+from g2_recon.localization.point_map import first_in_each_cell
 from g2_recon.localization.smoothing import Smoother
-from g2_recon.localization.tracking import Placement, Tracker
+from g2_recon.localization.tracking import FEWEST_SURFACES, Placement, Tracker
 from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]
@@ -36,8 +37,6 @@ _FEWEST_KEYFRAMES = 2
 # long a way.
 _PATIENCE = 5
 _BREAK_WAY_M = 300.0
-_FEWEST_SURFACES = 10
-# Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
 # Beams are moved to the stamp of their scan by the velocity since the last one, if that was not longer ago; no robot
 # indoors is faster, m/s, m/s, rad/s.
 _LONGEST_STEP_S = 1.0
@@ -48,6 +47,7 @@ _UNKNOWN = np.full(3, np.nan)
 _LEAST_INFORMATION = 1e-4
 _DRIFT_SHARE = 0.01
 _BROKEN_SIGMA = np.array([5.0, 5.0, 0.5])
+# Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
 _STANDING_M, _STANDING_RAD = 0.005, 0.004
 
 
@@ -93,8 +93,7 @@ class Localizer:
         self._stamp = -math.inf
         self._twist: Float = np.zeros(3)
         self._lost = 0
-        self._covariance: Float = np.zeros((3, 3))
-        self._covariances: list[Float] = []
+        self._keyframe_covariance: Float = np.zeros((3, 3))
         self.unmatched = 0
 
     @property
@@ -132,15 +131,15 @@ class Localizer:
         # A loop that was closed moves the present pose, too.
         if keyframe and self._close_loops():
             self._last = self._keyframes.poses[-1].copy()
-        self._covariance = self._uncertainty(placement)
+        covariance = self._uncertainty(placement, keyframe=keyframe)
         pose = compose(self._last, self._T_laser_base)
         if self._keep_scans:
             self._causal.append(pose)
-        return LocalizedScan(scan.stamp, pose, self._covariance, placement.inliers, placement.matched, keyframe)
+        return LocalizedScan(scan.stamp, pose, covariance, placement.inliers, placement.matched, keyframe)
 
     def _place(self, seen: Beams, step: Float | None) -> Placement:
         if not len(self._keyframes):
-            matched = np.count_nonzero(seen.kinds == SURFACE) >= _FEWEST_SURFACES
+            matched = np.count_nonzero(seen.kinds == SURFACE) >= FEWEST_SURFACES
             pose = self._last if step is None else compose(self._last, step)
             return Placement(pose, 1e6 * np.eye(3), 1.0, 1.0, matched)
         placement = self._tracker.track(seen, self._last, step)
@@ -157,7 +156,7 @@ class Localizer:
             return placement.matched
         moved = relative(self._keyframes.poses[-1], placement.pose)
         way, turn = math.hypot(moved[0], moved[1]), abs(moved[2])
-        if self._lost >= _PATIENCE and surfaces >= _FEWEST_SURFACES:
+        if self._lost >= _PATIENCE and surfaces >= FEWEST_SURFACES:
             # Even a lone keyframe: no local map may reach over the break.
             self._finish_local_map(fewest=1)
             self._tracker.segment = len(self._keyframes)
@@ -180,22 +179,19 @@ class Localizer:
         self._tracker.moved()
         self._last = self._keyframes.poses[-1].copy()
 
-    def _uncertainty(self, placement: Placement) -> Float:
+    def _uncertainty(self, placement: Placement, *, keyframe: bool) -> Float:
         """Covariance (3, 3) of the present pose in the map frame: of the match, and of the keyframe it hangs on.
 
         The place of a keyframe in the map is as unsure as that of the one before, plus a share of its own match, which
-        it shares with the keyframes around it; a closed loop makes it as sure as the place that was recognized.
+        it shares with the keyframes around it. Closed loops, which would make it surer again, are not counted.
         """
         match = np.asarray(np.linalg.inv(placement.information + _LEAST_INFORMATION * np.eye(3)), float)
         if not len(self._keyframes):
             return match
-        if len(self._covariances) < len(self._keyframes):
-            before = self._carried(self._covariances[-1], -2) if self._covariances else np.zeros((3, 3))
-            grown = _DRIFT_SHARE * match if self._covariances else np.zeros((3, 3))
-            if self._broken[-1]:
-                grown = np.diag(_BROKEN_SIGMA**2)
-            self._covariances.append(before + grown)
-        return self._carried(self._covariances[-1], -1) + match
+        if keyframe and len(self._keyframes) > 1:
+            grown = np.diag(_BROKEN_SIGMA**2) if self._broken[-1] else _DRIFT_SHARE * match
+            self._keyframe_covariance = self._carried(self._keyframe_covariance, -2) + grown
+        return self._carried(self._keyframe_covariance, -1) + match
 
     def _carried(self, covariance: Float, keyframe: int) -> Float:
         """A covariance (3, 3) of a keyframe's pose as that of the present pose, were it rigidly connected."""
@@ -331,8 +327,7 @@ class Localizer:
         poses = self._keyframes.poses
         scans = [se2.transform_points(poses[k], points[k][kinds[k] != INVALID]) for k in range(len(poses))]
         cloud = np.concatenate([np.empty((0, 2)), *scans])
-        cell = np.floor(cloud / self._config.map_spacing).astype(np.int64)
-        return cloud[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
+        return cloud[first_in_each_cell(cloud, self._config.map_spacing)]
 
 
 def _velocity(step: Float, elapsed: float) -> Float:

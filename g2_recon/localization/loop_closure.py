@@ -24,6 +24,7 @@ from g2_recon.localization import branch_and_bound, pose_graph
 from g2_recon.localization.branch_and_bound import Pyramid
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.pairing import accumulate, agreement
+from g2_recon.localization.point_map import first_in_each_cell
 
 Float = NDArray[np.float64]
 
@@ -106,8 +107,7 @@ class LoopCloser:
             near = (kinds[k] > 0) & (np.hypot(points[k, :, 0], points[k, :, 1]) < farthest)
             parts.append(se2.transform_points(se2.relative(base, poses[k]), points[k][near]))
         cloud = np.concatenate(parts) if parts else np.empty((0, 2))
-        cells = np.floor(cloud / cell).astype(np.int64)
-        return cloud[np.sort(np.unique(cells[:, 0] * 4_000_037 + cells[:, 1], return_index=True)[1])]
+        return cloud[first_in_each_cell(cloud, cell)]
 
     def _pyramid(self, c: int) -> Pyramid:
         if c not in self._pyramids:
@@ -248,17 +248,13 @@ class LoopCloser:
         poses = self.poses
         weights: Float = np.ones(len(edges))
         for _ in range(rounds):
-            _, _, squared = pose_graph.linearize(
-                poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, weights
-            )
+            squared = pose_graph.deviations(poses, edges)
             weights = np.where(robust, (_KERNEL / (_KERNEL + squared)) ** 2, 1.0)
             before = poses
             poses, _ = pose_graph.solve(poses, edges, weights=weights)
             if np.abs(poses - before).max() < 1e-4:
                 break
-        _, _, squared = pose_graph.linearize(
-            poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, weights
-        )
+        squared = pose_graph.deviations(poses, edges)
         cost = np.where(robust, _KERNEL * squared / (_KERNEL + squared), squared).sum()
         return poses, float(cost), squared
 

@@ -37,7 +37,7 @@ class PointMap:
 
     def add(self, points: Float) -> int:
         """Add those of the points (N, 2) that have no map point within the spacing; returns how many were added."""
-        first = points[_first_in_each_cell(points, self._spacing)]
+        first = points[first_in_each_cell(points, self._spacing)]
         fresh = first[self.nearest(first, self._spacing)[1] == np.inf]
         count = self._count + len(fresh)
         if count > len(self._rows):
@@ -65,7 +65,7 @@ class PointMap:
         return self._local[np.minimum(index, len(self._local) - 1)], distance
 
 
-def _first_in_each_cell(points: Float, size: float) -> NDArray[np.intp]:
+def first_in_each_cell(points: Float, size: float) -> NDArray[np.intp]:
     """Indices, in order, of the first of the points (N, 2) in each square cell of `size` metres."""
     cell = np.floor(points / size).astype(np.int64)
     return np.sort(np.unique(cell, axis=0, return_index=True)[1])

@@ -16,6 +16,7 @@ import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 from numpy.typing import NDArray
 
+from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import relative, wrap
 
 Float = NDArray[np.float64]
@@ -83,6 +84,13 @@ def linearize(poses, first, second, T, hessians, gradients, weights):  # type: i
     return blocks, pulls, squared
 
 
+def deviations(poses: Float, edges: Edges) -> Float:
+    """d^T H d (M,) of the edges at poses (N, 3)."""
+    weights = np.ones(len(edges))
+    *_, squared = linearize(poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, weights)
+    return np.asarray(squared)
+
+
 def solve(poses: Float, edges: Edges, *, held: int = 0, weights: Float | None = None) -> tuple[Float, Float]:
     """One Gauss-Newton step: the poses (N, 3) after it, and d^T H d (M,) of the edges before it; `held` stays."""
     count = len(poses)
@@ -101,7 +109,7 @@ def solve(poses: Float, edges: Edges, *, held: int = 0, weights: Float | None = 
     right = np.bincount(rows.ravel(), pulls.ravel(), 3 * count)
     factors = sparse_linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
     moved = poses - factors.solve(right).reshape(count, 3)
-    moved[:, 2] = (moved[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    moved[:, 2] = se2.wrap_angle(moved[:, 2])
     return moved, squared
 
 

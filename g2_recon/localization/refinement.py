@@ -13,6 +13,7 @@ from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import wrap
 from g2_recon.localization import pairing, pose_graph
 from g2_recon.localization.keyframes import Keyframes
+from g2_recon.localization.tracking import PAIR_SIGMA_M
 from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]
@@ -27,7 +28,6 @@ _ROUNDS = 10
 _DISTANCE_M = (0.8, 0.12)
 _SIGMA_M = (0.2, 0.045)
 _LEAST_INLIERS, _FEWEST_INLIERS = 0.4, 30
-_PAIR_SIGMA_M = 0.05
 _WHEEL_WEIGHT, _WHEEL_KERNEL = 25.0, 9.0
 _BROKEN = 1e-6
 
@@ -56,9 +56,7 @@ def refine(
         seen = pose_graph.Edges(first, second, T, hessians, gradients)[used]
         edges = pose_graph.joined(seen, wheels)
         weights = np.ones(len(edges))
-        _, _, squared = pose_graph.linearize(
-            poses, wheels.first, wheels.second, wheels.T, wheels.hessians, wheels.gradients, np.ones(len(wheels))
-        )
+        squared = pose_graph.deviations(poses, wheels)
         # Wheels that slip or come late are doubted.
         weights[len(seen) :] = 1 / (1 + squared / (_WHEEL_WEIGHT * _WHEEL_KERNEL))
         poses, _ = pose_graph.solve(poses, edges, weights=weights)
@@ -73,9 +71,9 @@ def _wheel_edges(smoothed: Float, odometry: Float, broken: NDArray[np.bool_]) ->
     T[known, :2] = odometry[known, :2]
     length, turn = np.hypot(smoothed[:, 0], smoothed[:, 1]), np.abs(smoothed[:, 2])
     information = np.zeros((len(T), 3, 3))
-    along = np.where(known, _WHEEL_WEIGHT, 1.0) * (_PAIR_SIGMA_M / (0.02 + 0.1 * length)) ** 2
+    along = np.where(known, _WHEEL_WEIGHT, 1.0) * (PAIR_SIGMA_M / (0.02 + 0.1 * length)) ** 2
     information[:, 0, 0] = information[:, 1, 1] = along
-    information[:, 2, 2] = (_PAIR_SIGMA_M / (0.02 + 0.2 * turn)) ** 2
+    information[:, 2, 2] = (PAIR_SIGMA_M / (0.02 + 0.2 * turn)) ** 2
     information[broken] *= _BROKEN
     k = np.arange(1, len(T) + 1)
     return pose_graph.measured(k, k - 1, T, information)

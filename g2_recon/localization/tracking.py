@@ -53,7 +53,8 @@ _MARGIN, _SEARCH_MARGIN, _INLIER_MARGIN = 0.08, 0.02, 0.1
 _LIKELY_SIGMAS = 2.0
 # Over so many steps odometry may come late: it stands still while the robot drives, and then jumps.
 _LATE = (2, 3, 4, 6, 8, 12)
-_FEWEST_SURFACES = 10
+FEWEST_SURFACES = 10
+"""A scan with fewer beams on surfaces says nothing about its pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,7 @@ class Tracker:
         predictions = self._predictions(step)
         likeliest, sigma = next(predictions)
         guess = compose(last, likeliest)
-        if np.count_nonzero(beams.kinds == SURFACE) < _FEWEST_SURFACES:
+        if np.count_nonzero(beams.kinds == SURFACE) < FEWEST_SURFACES:
             return Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
         best = self._lay(beams, guess, sigma, few=step is not None)
         if step is not None and self._good(best) and _near(best.pose, guess, sigma):
