@@ -40,3 +40,21 @@ def relative(T_a_b: Float, T_a_c: Float) -> Float:
     result[1] = -sin * x + cos * y
     result[2] = wrap(T_a_c[2] - T_a_b[2])
     return result
+
+
+@numba.njit(cache=True, nogil=True)
+def solve_3x3(A: Float, b: Float) -> Float:
+    """x (3,) with A x = b, for a symmetric positive definite A (3, 3), by its Cholesky factors."""
+    a = math.sqrt(A[0, 0])
+    d, g = A[1, 0] / a, A[2, 0] / a
+    e = math.sqrt(A[1, 1] - d * d)
+    h = (A[2, 1] - g * d) / e
+    k = math.sqrt(A[2, 2] - g * g - h * h)
+    u = b[0] / a
+    v = (b[1] - d * u) / e
+    w = (b[2] - g * u - h * v) / k
+    x = np.empty(3)
+    x[2] = w / k
+    x[1] = (v - h * x[2]) / e
+    x[0] = (u - d * x[1] - g * x[2]) / a
+    return x

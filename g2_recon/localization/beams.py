@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from g2_recon.geometry.scan import Scan
 
 Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 
 INVALID, POINT, SURFACE = 0, 1, 2
 """What a beam is: no measurement, a point, a point on a surface with a known normal."""
@@ -37,8 +38,8 @@ class Beams:
     SURFACE. first, increment: rad, bearing of the first beam, and from beam to beam (above 0).
     """
 
-    points: Float
-    normals: Float
+    points: Float32
+    normals: Float32
     kinds: NDArray[np.uint8]
     first: float
     increment: float
@@ -70,7 +71,7 @@ def beams(
         points = _deskewed(points, times, np.asarray(twist, float))
     normals = surface_normals(points, kinds)
     first = float(bearings[0]) if len(bearings) else 0.0
-    return Beams(points, normals, kinds, first, abs(increment))
+    return Beams(points.astype(np.float32), normals.astype(np.float32), kinds, first, abs(increment))
 
 
 def _deskewed(points: Float, times: Float, twist: Float) -> Float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from g2_recon.localization.beams import Beams
 
 Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 
 _FEWEST_ROWS = 256
 
@@ -27,8 +28,8 @@ class Keyframes:
 
     def _allocate(self, rows: int, beams: int) -> None:
         self._poses = np.zeros((rows, 3))
-        self._points = np.zeros((rows, beams, 2))
-        self._normals = np.zeros((rows, beams, 2))
+        self._points = np.zeros((rows, beams, 2), np.float32)
+        self._normals = np.zeros((rows, beams, 2), np.float32)
         self._kinds = np.zeros((rows, beams), np.uint8)
         self._firsts = np.zeros(rows)
         self._increments = np.ones(rows)
@@ -42,7 +43,7 @@ class Keyframes:
         return self._poses[: self._count]
 
     @property
-    def arrays(self) -> tuple[Float, Float, NDArray[np.uint8], Float, Float]:
+    def arrays(self) -> tuple[Float32, Float32, NDArray[np.uint8], Float, Float]:
         """Points (N, B, 2), normals (N, B, 2), kinds (N, B), firsts (N,), increments (N,): see Beams."""
         n = self._count
         return self._points[:n], self._normals[:n], self._kinds[:n], self._firsts[:n], self._increments[:n]

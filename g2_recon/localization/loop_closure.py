@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry import se2
-from g2_recon.geometry.se2_kernels import compose, relative, wrap
+from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, pose_graph
 from g2_recon.localization.branch_and_bound import Pyramid
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.pairing import accumulate, agreement
+from g2_recon.localization.beams import SURFACE
+from g2_recon.localization.pairing import add_turned, agreements, lay, picked, room
 from g2_recon.localization.point_map import first_in_each_cell
 
 Float = NDArray[np.float64]
@@ -45,6 +46,11 @@ _LEAST_SCORE = 0.55
 _LEAST_INLIERS = 0.6
 _LEAST_AGREEMENT = 0.8
 _FARTHEST_ICP_M = 0.6
+# ICP of a local map on another: every other keyframe, every third beam, where keyframes are so near to each other;
+# search distance and width of the robust kernel, first to last iteration, m.
+_TOGETHER_M, _BEAM_STEP, _ITERATIONS, _FEWEST_SEEN = 6.0, 3, 10, 50
+_FIRST_DISTANCE_M, _LAST_DISTANCE_M = 0.4, 0.2
+_FIRST_SIGMA_M, _LAST_SIGMA_M = 0.15, 0.06
 _RIVAL = 0.85
 _AMBIGUOUS = 1e-5
 
@@ -195,18 +201,21 @@ class LoopCloser:
         moving = np.arange(one.first, one.last, 2)
         fixed = np.arange(self.maps[max(0, j - 1)].first, self.maps[min(len(self.maps) - 1, j + 1)].last, 2)
         poses = self._keyframes.poses
-        moving_poses = se2.relative(poses[one.reference], poses[moving])
-        fixed_poses = se2.relative(poses[other.reference], poses[fixed])
-        T, inliers, hessian, _count, same, against = register(
-            start, moving, moving_poses, fixed, fixed_poses, *self._keyframes.arrays, 3
-        )
+        base = poses[other.reference]
+        pose, inliers, hessian, same, against = register(
+            compose(base, start), moving, se2.relative(poses[one.reference], poses[moving]),
+            fixed, poses, *self._keyframes.arrays, _BEAM_STEP,
+        )  # fmt: skip
+        T = relative(base, pose)
         if inliers < _LEAST_INLIERS or math.hypot(*(T - start)[:2]) > _FARTHEST_ICP_M:
             return None
         if same < _LEAST_AGREEMENT * (same + against):
             self.rejected += 1
             return None
-        values, vectors = np.linalg.eigh(hessian[:2, :2])
-        shape = hessian[:2, :2] / max(values[1], 1e-9)
+        turned = np.zeros((3, 3))
+        add_turned(hessian, np.zeros(3), -base[2], turned, np.zeros(3))
+        values, vectors = np.linalg.eigh(turned[:2, :2])
+        shape = turned[:2, :2] / max(values[1], 1e-9)
         weak = np.ascontiguousarray(vectors[:, 0])
         if (
             branch_and_bound.rival(target.levels, target.corner, target.resolution, query, T, weak, max(4.0, window))
@@ -265,74 +274,85 @@ class LoopCloser:
 
 
 @numba.njit(cache=True, nogil=True)
-def register(T, moving, moving_poses, fixed, fixed_poses, points, normals, kinds, firsts, increments, step):  # type: ignore[no-untyped-def]
-    """ICP of one rigid group of keyframes on another: T, inliers, hessian, beams in view, agreement, contradiction."""
-    T = T.copy()
-    iterations = 10
-    hessian = np.zeros((3, 3))
+def register(  # type: ignore[no-untyped-def]
+    start, moving, T_group_moving, fixed, poses, points, normals, kinds, firsts, increments, step
+):
+    """ICP of one rigid group of keyframes, at a start (3,), on others that stay where they are.
+
+    Returns the pose (3,) of the group, the share of inliers, the hessian (3, 3), and how many points agree and
+    contradict. Every `step`-th beam is used.
+    """
+    pose = start.copy()
+    hessian, one = np.zeros((3, 3)), np.zeros((3, 3))
+    gradient, pull = np.zeros(3), np.zeros(3)
+    memory = room(kinds.shape[1])
     inliers = seen = 0
-    for iteration in range(iterations):
-        share = min(1.0, iteration / (iterations - 3))
-        distance = 0.4 * (0.2 / 0.4) ** share
-        sigma = 0.15 * (0.06 / 0.15) ** share
+    for iteration in range(_ITERATIONS):
+        share = min(1.0, iteration / (_ITERATIONS - 3))
+        distance = _FIRST_DISTANCE_M * (_LAST_DISTANCE_M / _FIRST_DISTANCE_M) ** share
+        sigma = _FIRST_SIGMA_M * (_LAST_SIGMA_M / _FIRST_SIGMA_M) ** share
         hessian[:] = 0.0
-        gradient = np.zeros(3)
+        gradient[:] = 0.0
         inliers = seen = 0
-        for k in range(len(moving)):
-            at = compose(T, moving_poses[k])
-            a = moving[k]
-            for m in range(len(fixed)):
-                if math.hypot(at[0] - fixed_poses[m, 0], at[1] - fixed_poses[m, 1]) > 6.0:
-                    continue
-                b = fixed[m]
-                one = np.zeros((3, 3))
-                pull = np.zeros(3)
-                more, viewed = accumulate(
-                    relative(fixed_poses[m], at),
-                    points[a],
-                    normals[a],
-                    kinds[a],
-                    points[b],
-                    normals[b],
-                    kinds[b],
-                    firsts[b],
-                    increments[b],
-                    distance,
-                    sigma,
-                    step,
-                    False,
-                    one,
-                    pull,
-                )
-                inliers += more
-                seen += viewed
-                # A step of T, seen from keyframe b.
-                cos, sin = math.cos(fixed_poses[m, 2]), math.sin(fixed_poses[m, 2])
-                x, y = at[0] - T[0], at[1] - T[1]
-                J = np.array([[cos, sin, -cos * y + sin * x], [-sin, cos, sin * y + cos * x], [0.0, 0.0, 1.0]])
-                hessian += J.T @ one @ J
-                gradient += J.T @ pull
-        if seen < 50:
-            return T, 0.0, hessian, seen, 0, 0
-        change = np.linalg.solve(hessian + 1e-3 * np.eye(3), gradient)
-        T -= change
-        T[2] = wrap(T[2])
+        for m in range(len(moving)):
+            at = compose(pose, T_group_moving[m])
+            k = moving[m]
+            one[:] = 0.0
+            pull[:] = 0.0
+            more, viewed = lay(
+                at, picked(points[k], normals[k], kinds[k], SURFACE, step), _near(fixed, poses, at), poses,
+                points, normals, kinds, firsts, increments, distance, sigma, one, pull, memory,
+            )  # fmt: skip
+            inliers += more
+            seen += viewed
+            _add_levered(one, pull, at[0] - pose[0], at[1] - pose[1], hessian, gradient)
+        if seen < _FEWEST_SEEN:
+            return pose, 0.0, hessian, 0, 0
+        for u in range(3):
+            hessian[u, u] += 1e-3
+        pose -= solve_3x3(hessian, gradient)
+        pose[2] = wrap(pose[2])
     same = against = 0
-    for k in range(0, len(moving), 2):
-        at = compose(T, moving_poses[k])
-        a = moving[k]
-        for m in range(0, len(fixed), 2):
-            if math.hypot(at[0] - fixed_poses[m, 0], at[1] - fixed_poses[m, 1]) > 6.0:
-                continue
-            b = fixed[m]
-            p, q = agreement(
-                relative(fixed_poses[m], at), points[a], kinds[a], points[b], kinds[b], firsts[b], increments[b], step
-            )
-            same += p
-            against += q
-            p, q = agreement(
-                relative(at, fixed_poses[m]), points[b], kinds[b], points[a], kinds[a], firsts[a], increments[a], step
-            )
-            same += p
-            against += q
-    return T, inliers / max(seen, 1), hessian, seen, same, against
+    for m in range(0, len(moving), 2):
+        at = compose(pose, T_group_moving[m])
+        k = moving[m]
+        more, less = agreements(
+            at, points[k], normals[k], kinds[k], firsts[k], increments[k],
+            _near(fixed[::2], poses, at), poses, points, normals, kinds, firsts, increments, step,
+        )  # fmt: skip
+        same += more
+        against += less
+    return pose, inliers / seen, hessian, same, against
+
+
+@numba.njit(cache=True, nogil=True)
+def _near(keyframes, poses, at):  # type: ignore[no-untyped-def]
+    """Those of the keyframes that are close enough to a pose (3,) to be compared with one there."""
+    near = np.empty(len(keyframes), np.int64)
+    count = 0
+    for k in keyframes:
+        if math.hypot(at[0] - poses[k, 0], at[1] - poses[k, 1]) <= _TOGETHER_M:
+            near[count] = k
+            count += 1
+    return near[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_levered(one, pull, x, y, hessian, gradient):  # type: ignore[no-untyped-def]
+    """Add hessian (3, 3) and gradient (3,) of a step at x, y from the origin to those of a step of the origin."""
+    # d(step there) / d(step here) = [[1, 0, -y], [0, 1, x], [0, 0, 1]].
+    a, b, d = one[0, 0], one[0, 1], one[1, 1]
+    e = one[0, 2] - y * a + x * b
+    f = one[1, 2] - y * b + x * d
+    hessian[0, 0] += a
+    hessian[0, 1] += b
+    hessian[1, 0] += b
+    hessian[1, 1] += d
+    hessian[0, 2] += e
+    hessian[2, 0] += e
+    hessian[1, 2] += f
+    hessian[2, 1] += f
+    hessian[2, 2] += one[2, 2] + x * one[1, 2] - y * one[0, 2] - y * e + x * f
+    gradient[0] += pull[0]
+    gradient[1] += pull[1]
+    gradient[2] += pull[2] - y * pull[0] + x * pull[1]

@@ -169,10 +169,9 @@ class Tracker:
             *(references, keyframes.poses, *keyframes.arrays),
             *(*_DISTANCE_M, *_KERNEL_M, _FEW_ITERATIONS if few else _ITERATIONS, prior),
         )
-        points, _, kinds, firsts, increments = keyframes.arrays
         same, against = pairing.agreements(
-            pose, beams.points, beams.kinds, beams.first, beams.increment, references[:_WITNESSES], keyframes.poses,
-            points, kinds, firsts, increments, 2,
+            pose, beams.points, beams.normals, beams.kinds, beams.first, beams.increment,
+            references[:_WITNESSES], keyframes.poses, *keyframes.arrays, 2,
         )  # fmt: skip
         quality = same / max(1, same + 2 * against)
         return Placement(pose, hessian / PAIR_SIGMA_M**2, quality, inliers, quality >= LEAST_QUALITY)
