@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +49,12 @@ class Keyframes:
         """Points (N, B, 2), normals (N, B, 2), kinds (N, B), firsts (N,), increments (N,): see Beams."""
         n = self._count
         return self._points[:n], self._normals[:n], self._kinds[:n], self._firsts[:n], self._increments[:n]
+
+    def snapshot(self) -> Keyframes:
+        """The keyframes of now, whose poses stay as they are; their beams take no more memory."""
+        same = copy(self)
+        same._poses = self.poses.copy()
+        return same
 
     def add(self, beams: Beams, pose: Float) -> int:
         """Add a scan with its pose (3,); the index of the new keyframe."""
