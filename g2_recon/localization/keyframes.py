@@ -29,7 +29,7 @@ class Keyframes:
         self._allocate(_FEWEST_ROWS, 1)
 
     def _allocate(self, rows: int, beams: int) -> None:
-        self._poses = np.zeros((rows, 3))
+        self._poses: Float = np.zeros((rows, 3))
         self._points = np.zeros((rows, beams, 2), np.float32)
         self._normals = np.zeros((rows, beams, 2), np.float32)
         self._kinds = np.zeros((rows, beams), np.uint8)

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, pose_graph
+from g2_recon.localization.beams import INVALID, SURFACE
 from g2_recon.localization.branch_and_bound import Pyramid
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.beams import INVALID, SURFACE
 from g2_recon.localization.pairing import add_turned, agreements, lay, picked, room
 from g2_recon.localization.point_map import first_in_each_cell
 

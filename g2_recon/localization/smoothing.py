@@ -60,7 +60,7 @@ class Smoother:
 
     def _laid(self, i: int, segment: int) -> pose_graph.Edges:
         """Edges of a keyframe to those before it that it fits on."""
-        second = i - _SPANS[_SPANS <= i - segment]
+        second = i - _SPANS[i - segment >= _SPANS]
         first = np.full(len(second), i)
         T, hessians, gradients, counts = pairing.few_pairs(
             self._keyframes.poses, first, second, *self._keyframes.arrays, _DISTANCE_M, _KERNEL_M
