@@ -15,7 +15,7 @@ from g2_recon.geometry.scan import Scan
 
 Float32 = NDArray[np.float32]
 
-INVALID, POINT, SURFACE = 0, 1, 2
+INVALID, POINT, SURFACE, CORNER = 0, 1, 2, 4
 """What a beam is: no measurement, a point, a point on a surface with a known normal."""
 
 # Neighboring beams farther apart than this (m, and share of the range, and m at most) do not lie on one surface.
@@ -29,6 +29,7 @@ _LINE_SIGMA_M = 0.03
 _LINE_SHARE = 0.17
 
 
+SPARSE, SPARSE2 = 0.04, 0.0
 @dataclass(frozen=True, slots=True)
 class Beams:
     """A scan in the planar laser frame, x forward, y left, whichever way up the laser is mounted.
@@ -133,7 +134,29 @@ def surface_normals(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
     for i in range(count):
         if surface[i]:
             kinds[i] = SURFACE
+        elif kinds[i] != INVALID and not _on_sparse_wall(points, kinds, i):
+            kinds[i] = CORNER
     return normals
+
+
+@numba.njit(cache=True, nogil=True)
+def _on_sparse_wall(points, kinds, i):  # type: ignore[no-untyped-def]
+    """Whether a beam lies on the line through two of its neighbors, however far apart they are."""
+    for first in range(max(0, i - 2), min(i, len(points) - 3) + 1):
+        one = first if first != i else i + 1
+        other = first + 2 if first + 2 != i else i - 1
+        if kinds[one] == INVALID or kinds[other] == INVALID:
+            continue
+        dx, dy = points[other, 0] - points[one, 0], points[other, 1] - points[one, 1]
+        length = math.hypot(dx, dy)
+        off = abs(dx * (points[i, 1] - points[one, 1]) - dy * (points[i, 0] - points[one, 0]))
+        away = max(
+            math.hypot(points[i, 0] - points[one, 0], points[i, 1] - points[one, 1]),
+            math.hypot(points[i, 0] - points[other, 0], points[i, 1] - points[other, 1]),
+        )
+        if off < SPARSE * max(length, away) + SPARSE2 * length:
+            return True
+    return False
 
 
 @numba.njit(cache=True, nogil=True)

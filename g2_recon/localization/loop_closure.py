@@ -24,7 +24,7 @@ from g2_recon.localization import branch_and_bound, pose_graph
 from g2_recon.localization.beams import INVALID, SURFACE
 from g2_recon.localization.branch_and_bound import Pyramid
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.pairing import add_turned, agreements, lay, picked, room
+from g2_recon.localization.pairing import add_turned, agreements, lay, both, room
 from g2_recon.localization.point_map import first_in_each_cell
 
 Float = NDArray[np.float64]
@@ -328,7 +328,7 @@ def register(  # type: ignore[no-untyped-def]
             one[:] = 0.0
             pull[:] = 0.0
             more, viewed = lay(
-                at, picked(points[k], normals[k], kinds[k], SURFACE, step), _near(fixed, poses, at), poses,
+                at, both(points[k], normals[k], kinds[k], step), _near(fixed, poses, at), poses,
                 points, normals, kinds, firsts, increments, distance, sigma, one, pull, memory,
             )  # fmt: skip
             inliers += more

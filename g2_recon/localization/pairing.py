@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.se2_kernels import relative, solve_3x3, wrap
-from g2_recon.localization.beams import INVALID, POINT, SURFACE
+from g2_recon.localization.beams import CORNER, INVALID, POINT, SURFACE
 
 Float = NDArray[np.float64]
 
+ANY = POINT | SURFACE | CORNER
 NO_PARTNER, OUT_OF_VIEW = -1, -2
 """Instead of the index of a beam: none near enough; the other scan did not look there."""
 
@@ -49,7 +50,7 @@ def picked(points, normals, kinds, least, step):  # type: ignore[no-untyped-def]
     rows = np.empty((4, (len(points) + step - 1) // step), np.float32)
     count = 0
     for i in range(0, len(points), step):
-        if kinds[i] >= least:
+        if kinds[i] & least:
             rows[0, count], rows[1, count] = points[i, 0], points[i, 1]
             rows[2, count], rows[3, count] = normals[i, 0], normals[i, 1]
             count += 1
@@ -93,7 +94,7 @@ def _project(T_b_a, rows, first, increment, distance, share, at, where):  # type
 def _squared_distance(points, kinds, beam, x, y, kind):  # type: ignore[no-untyped-def]
     dx, dy = points[beam, 0] - x, points[beam, 1] - y
     squared = dx * dx + dy * dy
-    return squared if kinds[beam] >= kind else _FAR
+    return squared if kinds[beam] & kind else _FAR
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -230,9 +231,58 @@ def _sum(T_b_a, rows, at, found, points, normals, sigma, backwards, hessian, gra
     return inliers, seen
 
 
+CORNER_SIGMA = 0.3
+
+
+@numba.njit(cache=True, nogil=True)
+def both(points, normals, kinds, step):
+    return picked(points, normals, kinds, SURFACE, step), picked(points, normals, kinds, CORNER, step)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _sum_corners(T_b_a, rows, at, found, points, sigma, increment, backwards, hessian, gradient, cw):
+    cos, sin = math.cos(T_b_a[2]), math.sin(T_b_a[2])
+    tx, ty = T_b_a[0], T_b_a[1]
+    h02 = h12 = h22 = g0 = g1 = g2 = total = 0.0
+    for i in range(len(found)):
+        beam = found[i]
+        if beam < 0:
+            continue
+        x, y = float(at[0, i]), float(at[1, i])
+        bx, by = float(points[beam, 0]), float(points[beam, 1])
+        ex, ey = x - bx, y - by
+        width = sigma + CORNER_SIGMA * increment * at[2, i]
+        weight = 1.0 / (1.0 + (ex * ex + ey * ey) / width**2)
+        weight *= weight * cw * (0.045 / width)**2
+        if backwards:
+            ux, uy = cos * bx + sin * by - (cos * tx + sin * ty), -sin * bx + cos * by - (-sin * tx + cos * ty)
+            ux, uy = cos * bx + sin * by, -sin * bx + cos * by
+            ex, ey = -(cos * ex + sin * ey), -(-sin * ex + cos * ey)
+        else:
+            ux, uy = x - tx, y - ty
+        # residual derivative: [1, 0, -uy], [0, 1, ux]
+        total += weight
+        h02 -= weight * uy
+        h12 += weight * ux
+        h22 += weight * (ux * ux + uy * uy)
+        g0 += weight * ex
+        g1 += weight * ey
+        g2 += weight * (ux * ey - uy * ex)
+    hessian[0, 0] += total
+    hessian[1, 1] += total
+    hessian[0, 2] += h02
+    hessian[2, 0] += h02
+    hessian[1, 2] += h12
+    hessian[2, 1] += h12
+    hessian[2, 2] += h22
+    gradient[0] += g0
+    gradient[1] += g1
+    gradient[2] += g2
+
+
 @numba.njit(cache=True, nogil=True)
 def accumulate(  # type: ignore[no-untyped-def]
-    T_b_a, rows, points, normals, kinds, first, increment, distance, sigma, backwards, hessian, gradient, memory
+    T_b_a, rows, points, normals, kinds, first, increment, distance, sigma, backwards, hessian, gradient, memory, cw
 ):
     """Add what surfaces of a scan a (rows: see `picked`) say about T_b_a, for a step added to it.
 
@@ -242,8 +292,12 @@ def accumulate(  # type: ignore[no-untyped-def]
     hessian and gradient those of that inverse. Returns how many beams found a partner that fits, and how many lie in
     view of b.
     """
-    found = partners(T_b_a, rows, points, kinds, first, increment, distance, 0.0, SURFACE, memory)
-    return _sum(T_b_a, rows, memory[0], found, points, normals, sigma, backwards, hessian, gradient)
+    lines, corners = rows
+    if cw > 0:
+        found = partners(T_b_a, corners, points, kinds, first, increment, distance, 0.5 * increment, CORNER, memory)
+        _sum_corners(T_b_a, corners, memory[0], found, points, sigma, increment, backwards, hessian, gradient, cw)
+    found = partners(T_b_a, lines, points, kinds, first, increment, distance, 0.0, SURFACE, memory)
+    return _sum(T_b_a, lines, memory[0], found, points, normals, sigma, backwards, hessian, gradient)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -253,12 +307,12 @@ def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigm
     gradient = np.zeros(3)
     memory = room(kinds.shape[1])
     inliers, seen = accumulate(
-        T_j_i, picked(points[i], normals[i], kinds[i], SURFACE, 1),
-        points[j], normals[j], kinds[j], firsts[j], increments[j], distance, sigma, False, hessian, gradient, memory,
+        T_j_i, both(points[i], normals[i], kinds[i], 1),
+        points[j], normals[j], kinds[j], firsts[j], increments[j], distance, sigma, False, hessian, gradient, memory, 1.0,
     )  # fmt: skip
     more, seen_back = accumulate(
-        relative(T_j_i, np.zeros(3)), picked(points[j], normals[j], kinds[j], SURFACE, 1),
-        points[i], normals[i], kinds[i], firsts[i], increments[i], distance, sigma, True, hessian, gradient, memory,
+        relative(T_j_i, np.zeros(3)), both(points[j], normals[j], kinds[j], 1),
+        points[i], normals[i], kinds[i], firsts[i], increments[i], distance, sigma, True, hessian, gradient, memory, 1.0,
     )  # fmt: skip
     return hessian, gradient, inliers + more, seen + seen_back
 
@@ -330,7 +384,7 @@ def lay(  # type: ignore[no-untyped-def]
         pull[:] = 0.0
         more, viewed = accumulate(
             relative(poses[k], pose), rows, points[k], normals[k], kinds[k], firsts[k], increments[k],
-            distance, sigma, False, one, pull, memory,
+            distance, sigma, False, one, pull, memory, 1.0,
         )  # fmt: skip
         inliers += more
         seen += viewed
@@ -353,8 +407,8 @@ def match(  # type: ignore[no-untyped-def]
     """
     pose = start.copy()
     total, pull = np.zeros((3, 3)), np.zeros(3)
-    rows = picked(scan_points, scan_normals, scan_kinds, SURFACE, 1)
-    memory = room(rows.shape[1])
+    rows = both(scan_points, scan_normals, scan_kinds, 1)
+    memory = room(len(scan_kinds))
     inliers = seen = 0
     count = max(1, len(references))
     for iteration in range(2 * iterations):
@@ -408,7 +462,7 @@ def agreement(T_b_a, rows, points, kinds, first, increment, memory):  # type: ig
     """
     same = against = 0
     turn = int(2 * math.pi / increment + 0.5)
-    found = partners(T_b_a, rows, points, kinds, first, increment, _SAME_PLACE_M, _SAME_PLACE_SHARE, POINT, memory)
+    found = partners(T_b_a, rows, points, kinds, first, increment, _SAME_PLACE_M, _SAME_PLACE_SHARE, ANY, memory)
     at, where, _ = memory
     for i in range(len(found)):
         if found[i] >= 0:
@@ -436,13 +490,13 @@ def agreements(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Both ways, against several keyframes: points seen again, points contradicted."""
     same = against = 0
-    rows = picked(scan_points, scan_normals, scan_kinds, POINT, step)
+    rows = picked(scan_points, scan_normals, scan_kinds, ANY, step)
     memory = room(max(len(scan_kinds), kinds.shape[1]))
     for k in references:
         a, b = agreement(relative(poses[k], pose), rows, points[k], kinds[k], firsts[k], increments[k], memory)
         same += a
         against += b
-        back = picked(points[k], normals[k], kinds[k], POINT, step)
+        back = picked(points[k], normals[k], kinds[k], ANY, step)
         a, b = agreement(relative(pose, poses[k]), back, scan_points, scan_kinds, first, increment, memory)
         same += a
         against += b

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
@@ -37,6 +37,19 @@ _SEARCH_BEAMS = 90
 # Without odometry the best place is then looked for between the cells, and believed as much, m and rad.
 _CLIMBS = 3
 _FOUND_SIGMA = np.array([0.05, 0.05, 0.1])
+# Where nothing was found the robot may have turned far between two scans: so many searches beside each other.
+_FAR_TURNS = np.radians([40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0])
+
+# Along the direction in which the surfaces hold a scan least, if they hold it with less than so many beams, it slides
+# to where all its points fit best: so far, in such steps, in a grid of its own, m. It comes to lie so exactly, m; and
+# m^2 away from the prediction cost so much likelihood, with and without odometry.
+_WEAK = 10.0
+_SLIDE_M, _SLIDE_STEP_M = 0.4, 0.025
+_FINE_RESOLUTION_M, _FINE_SIGMA_M, _FINE_CELLS = 0.05, 0.06, 1000
+_SLID_SIGMA_M = 0.03
+_AWAY_WITH_ODOMETRY, _AWAY_WITHOUT = 3.0, 1.0
+# Without odometry the robot is expected to move on as it did on average over the last scans; one alone errs too much.
+_STEADY = 10
 
 # Search distance and width of the robust kernel, first to last iteration, m.
 _DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.35, 0.12), (0.08, 0.045), 10
@@ -84,8 +97,12 @@ class Tracker:
         self.segment = 0
         self._grid = np.zeros((_GRID_CELLS, _GRID_CELLS), np.uint8)
         self._wide = np.zeros_like(self._grid)
+        self._fine = np.zeros((_FINE_CELLS, _FINE_CELLS), np.uint8)
+        self._fine_bell = likelihood.bell(_FINE_RESOLUTION_M, _FINE_SIGMA_M)
+        self._fine_drawn = False
         self._bell = likelihood.bell(_RESOLUTION_M, _SIGMA_M)
         self._corner: Float = np.zeros(2)
+        self._fine_corner: Float = np.zeros(2)
         self._drawn = False
         self._velocity: Float = np.zeros(3)
         self._qualities: deque[float] = deque(maxlen=_MEMORY)
@@ -94,37 +111,51 @@ class Tracker:
 
     def moved(self) -> None:
         """To be called when keyframes were added or improved: what is drawn of them is out of date."""
-        self._drawn = False
+        self._drawn = self._fine_drawn = False
 
     def track(self, beams: Beams, last: Float, step: Float | None) -> Placement:
         """Place a scan, given the pose (3,) of the scan before and the step (3,) of the odometry since, if known."""
-        placement = self._best(beams, last, step)
-        self._velocity = relative(last, placement.pose)
-        self._history.append((np.full(3, np.nan) if step is None else step, self._velocity))
-        if placement.matched:
-            self._qualities.append(placement.quality)
-        return placement
-
-    def _best(self, beams: Beams, last: Float, step: Float | None) -> Placement:
         predictions = self._predictions(step)
         likeliest, sigma = next(predictions)
         guess = compose(last, likeliest)
-        if np.count_nonzero(beams.kinds == SURFACE) < FEWEST_SURFACES:
-            return Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
-        best = self._lay(beams, guess, sigma, few=step is not None)
-        if step is not None and self._good(best) and _near(best.pose, guess, sigma):
-            return best
+        placement = Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
+        if np.count_nonzero(beams.kinds == SURFACE) >= FEWEST_SURFACES:
+            best = self._best(beams, last, step, [(likeliest, sigma), *predictions])
+            if best.matched:
+                placement = self._slid(beams, best, guess, _AWAY_WITHOUT if step is None else _AWAY_WITH_ODOMETRY)
+                self._qualities.append(placement.quality)
+            else:
+                placement = replace(placement, quality=best.quality, inliers=best.inliers)
+        found = relative(last, placement.pose)
+        self._history.append((np.full(3, np.nan) if step is None else step, found))
+        self._velocity = found
+        if step is None:
+            self._velocity[:2] = np.mean([found[:2] for _, found in self._history][-_STEADY:], axis=0)
+        return placement
+
+    def _best(self, beams: Beams, last: Float, step: Float | None, predictions: list[tuple[Float, Float]]) -> Placement:
+        (likeliest, sigma), *_ = predictions
+        guess = compose(last, likeliest)
+        if step is None:
+            best = self._found(beams, guess, None)
+        else:
+            best = self._lay(beams, guess, sigma, few=True)
+            if self._good(best) and _near(best.pose, guess, sigma):
+                return best
         margin = _SEARCH_MARGIN
-        for predicted, uncertainty in [(likeliest, sigma), *predictions]:
-            guess = compose(last, predicted)
-            other = self._found(beams, guess, uncertainty if step is not None else None)
-            if other.quality > best.quality + margin or _fits_better(other, best):
-                best = other
+        for predicted, uncertainty in predictions:
+            if step is not None or margin == _MARGIN:
+                other = self._found(beams, compose(last, predicted), None if step is None else uncertainty)
+                if other.quality > best.quality + margin or _fits_better(other, best):
+                    best = other
             if self._good(best):
                 break
             margin = _MARGIN
-        if best.quality < LEAST_QUALITY:
-            return Placement(compose(last, likeliest), np.diag(1 / sigma**2), best.quality, best.inliers, False)
+        if not best.matched:
+            for turn in _FAR_TURNS:
+                other = self._found(beams, guess + (0.0, 0.0, turn), None)
+                if other.quality > max(best.quality, _FAIR):
+                    best = other
         return best
 
     def _good(self, placement: Placement) -> bool:
@@ -195,17 +226,49 @@ class Tracker:
         start = likelihood.climb(self._grid, beams.points, beams.kinds, start, x, y, _RESOLUTION_M, _TURN, _CLIMBS)
         return self._lay(beams, start, _FOUND_SIGMA)
 
-    def _draw(self) -> None:
-        if self._drawn:
-            return
+    def _slid(self, beams: Beams, placement: Placement, guess: Float, away: float) -> Placement:
+        """Slide along the direction that surfaces hold least, to where all points fit best, on none as well as on any.
+
+        Such are door frames, and the far end of a corridor, of which a few beams speak. guess: (3,) where the scan is
+        expected to lie; away: what m^2 from there cost.
+        """
+        values, vectors = np.linalg.eigh(placement.information[:2, :2])
+        held = values[0] * PAIR_SIGMA_M**2
+        if held > _WEAK:
+            return placement
+        weak = np.ascontiguousarray(vectors[:, 0])
+        expected = float((guess - placement.pose)[:2] @ weak)
+        off = likelihood.slide(
+            self._drawn_fine(), beams.points, beams.kinds, placement.pose, weak, _SLIDE_M, _SLIDE_STEP_M, expected, away,
+            *self._fine_corner, _FINE_RESOLUTION_M,
+        )  # fmt: skip
+        share = 1 / (1 + held * (_SLID_SIGMA_M / PAIR_SIGMA_M) ** 2)
+        pose, information = placement.pose.copy(), placement.information.copy()
+        pose[:2] += share * off * weak
+        information[:2, :2] += np.outer(weak, weak) / _SLID_SIGMA_M**2
+        return replace(placement, pose=pose, information=information)
+
+    def _drawn_fine(self) -> likelihood.Grid:
+        if not self._fine_drawn:
+            self._fine_corner = self._splat(self._fine, _FINE_RESOLUTION_M, self._fine_bell)
+            self._fine_drawn = True
+        return self._fine
+
+    def _splat(self, grid: likelihood.Grid, resolution: float, bell: likelihood.Grid) -> Float:
+        """Draw the latest keyframes into a grid around the last one; its corner (2,), m."""
         count = len(self._keyframes)
         poses = self._keyframes.poses
         points, _, kinds, _, _ = self._keyframes.arrays
-        self._grid[:] = 0
-        self._corner = poses[-1, :2] - 0.5 * _GRID_CELLS * _RESOLUTION_M
-        x, y = self._corner
+        grid[:] = 0
+        corner = np.asarray(poses[-1, :2] - 0.5 * len(grid) * resolution)
         for k in range(max(self.segment, count - _DRAWN), count):
-            likelihood.splat(self._grid, points[k], kinds[k], poses[k], x, y, _RESOLUTION_M, self._bell)
+            likelihood.splat(grid, points[k], kinds[k], poses[k], *corner, resolution, bell)
+        return corner
+
+    def _draw(self) -> None:
+        if self._drawn:
+            return
+        self._corner = self._splat(self._grid, _RESOLUTION_M, self._bell)
         likelihood.widen(self._grid, _SHIFTS, self._wide)
         self._drawn = True
 
