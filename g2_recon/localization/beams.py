@@ -16,7 +16,14 @@ from g2_recon.geometry.scan import Scan
 Float32 = NDArray[np.float32]
 
 INVALID, POINT, SURFACE, CORNER = 0, 1, 2, 4
-"""What a beam is: no measurement, a point, a point on a surface with a known normal."""
+"""What a beam is: no measurement, a point, a point on a surface with a known normal, a point clearly on no surface.
+
+A point that is none of the latter may lie on a wall seen at so flat an angle that its beams are far apart. Such wander
+along with the robot.
+"""
+LOOSE = POINT | CORNER
+ANY_KIND = SURFACE | LOOSE
+"""Of kinds, one bit each."""
 
 # Neighboring beams farther apart than this (m, and share of the range, and m at most) do not lie on one surface.
 _GAP_M, _GAP_SHARE, _LARGEST_GAP_M = 0.15, 0.12, 1.0
@@ -27,15 +34,16 @@ _FEWEST_ON_LINE = 4
 # A line is one if its points scatter less than this across it, in metres and as a share of their scatter along it.
 _LINE_SIGMA_M = 0.03
 _LINE_SHARE = 0.17
+# A beam is on a sparsely seen wall if it is off the line through two neighbors by less than this share of the way.
+_SPARSE_SHARE = 0.04
 
 
-SPARSE, SPARSE2 = 0.04, 0.0
 @dataclass(frozen=True, slots=True)
 class Beams:
     """A scan in the planar laser frame, x forward, y left, whichever way up the laser is mounted.
 
-    points: (B, 2) m. normals: (B, 2) unit, towards the laser, zero where unknown. kinds: (B,) INVALID, POINT or
-    SURFACE. first, increment: rad, bearing of the first beam, and from beam to beam (above 0).
+    points: (B, 2) m. normals: (B, 2) unit, towards the laser, zero where unknown. kinds: (B,) INVALID, POINT,
+    SURFACE or CORNER. first, increment: rad, bearing of the first beam, and from beam to beam (above 0).
     """
 
     points: Float32
@@ -97,7 +105,8 @@ def surface_normals(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
     """Unit normals (B, 2) of points (B, 2) in order of bearing, towards the laser; zero where there is no surface.
 
     A line is laid through a point and its neighbors (principal axis of their scatter), up to four beams or 8 cm to
-    each side, as far as they lie on one surface. `kinds` becomes SURFACE where there is a normal.
+    each side, as far as they lie on one surface. `kinds` becomes SURFACE where there is a normal, and CORNER where
+    there is clearly no surface.
     """
     count = len(points)
     normals = np.zeros((count, 2), np.float32)
@@ -154,7 +163,7 @@ def _on_sparse_wall(points, kinds, i):  # type: ignore[no-untyped-def]
             math.hypot(points[i, 0] - points[one, 0], points[i, 1] - points[one, 1]),
             math.hypot(points[i, 0] - points[other, 0], points[i, 1] - points[other, 1]),
         )
-        if off < SPARSE * max(length, away) + SPARSE2 * length:
+        if off < _SPARSE_SHARE * max(length, away):
             return True
     return False
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, pose_graph
-from g2_recon.localization.beams import INVALID, SURFACE
+from g2_recon.localization.beams import CORNER, INVALID
 from g2_recon.localization.branch_and_bound import Pyramid
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.pairing import add_turned, agreements, lay, both, room
+from g2_recon.localization.pairing import add_turned, agreements, lay, parted, room
 from g2_recon.localization.point_map import first_in_each_cell
 
 Float = NDArray[np.float64]
@@ -328,7 +328,7 @@ def register(  # type: ignore[no-untyped-def]
             one[:] = 0.0
             pull[:] = 0.0
             more, viewed = lay(
-                at, both(points[k], normals[k], kinds[k], step), _near(fixed, poses, at), poses,
+                at, parted(points[k], normals[k], kinds[k], CORNER, step), _near(fixed, poses, at), poses,
                 points, normals, kinds, firsts, increments, distance, sigma, one, pull, memory,
             )  # fmt: skip
             inliers += more

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.se2_kernels import relative, solve_3x3, wrap
-from g2_recon.localization.beams import CORNER, INVALID, POINT, SURFACE
+from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, SURFACE
 
 Float = NDArray[np.float64]
 
-ANY = POINT | SURFACE | CORNER
 NO_PARTNER, OUT_OF_VIEW = -1, -2
 """Instead of the index of a beam: none near enough; the other scan did not look there."""
 
@@ -31,6 +30,9 @@ _WIDEST_SEARCH = 0.53
 _SINE_SHARE = 0.95
 # A partner counts as inlier up to this many of the robust kernel's sigma.
 _INLIER_SIGMAS = 2.5
+# A partner that is on no surface may be farther by this share of the distance from beam to beam, and the kernel is
+# wider by that. With the weight 1 a beam on a surface has this sigma, m.
+_BEAMS_APART, _LOOSE_SHARE, _SURFACE_SIGMA_M = 0.5, 0.3, 0.045
 # Nearer points have no bearing to speak of, m.
 _AT_THE_LASER_M = 0.05
 
@@ -45,12 +47,12 @@ _FAR = _F(1e18)
 
 
 @numba.njit(cache=True, nogil=True)
-def picked(points, normals, kinds, least, step):  # type: ignore[no-untyped-def]
-    """Every `step`-th beam, if it is at least of a kind: x, y, nx, ny as rows of (4, N)."""
+def picked(points, normals, kinds, these, step):  # type: ignore[no-untyped-def]
+    """Every `step`-th beam, if it is of one of the kinds: x, y, nx, ny as rows of (4, N)."""
     rows = np.empty((4, (len(points) + step - 1) // step), np.float32)
     count = 0
     for i in range(0, len(points), step):
-        if kinds[i] & least:
+        if kinds[i] & these:
             rows[0, count], rows[1, count] = points[i, 0], points[i, 1]
             rows[2, count], rows[3, count] = normals[i, 0], normals[i, 1]
             count += 1
@@ -99,7 +101,7 @@ def _squared_distance(points, kinds, beam, x, y, kind):  # type: ignore[no-untyp
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _search(points, kinds, increment, kind, at, where, partners):  # type: ignore[no-untyped-def]
-    """For points that were projected into a scan, the nearest of its beams of at least a kind."""
+    """For points that were projected into a scan, the nearest of its beams of the kinds."""
     turn = int(2 * math.pi / increment + 0.5)
     # A beam that comes a full turn after the first one measures the same place again.
     count = min(len(points), turn)
@@ -160,7 +162,7 @@ def room(count: int):  # type: ignore[no-untyped-def]
 def partners(  # type: ignore[no-untyped-def]
     T_b_a, rows, points, kinds, first, increment, distance, share, kind, memory
 ):
-    """For points of a scan a (rows: see `picked`) the nearest beams (N,) of at least a kind in a scan b.
+    """For points of a scan a (rows: see `picked`) the nearest beams (N,) of the kinds in a scan b.
 
     A partner lies within distance (m) + share * range. NO_PARTNER: none is so near. OUT_OF_VIEW: b does not look there.
     """
@@ -231,16 +233,18 @@ def _sum(T_b_a, rows, at, found, points, normals, sigma, backwards, hessian, gra
     return inliers, seen
 
 
-CORNER_SIGMA = 0.3
-
-
 @numba.njit(cache=True, nogil=True)
-def both(points, normals, kinds, step):
-    return picked(points, normals, kinds, SURFACE, step), picked(points, normals, kinds, CORNER, step)
+def parted(points, normals, kinds, loose, step):  # type: ignore[no-untyped-def]
+    """Beams on surfaces, and loose ones of the kinds given, as two tables; see `picked`."""
+    return picked(points, normals, kinds, SURFACE, step), picked(points, normals, kinds, loose, step)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _sum_corners(T_b_a, rows, at, found, points, sigma, increment, backwards, hessian, gradient, cw):
+def _sum_loose(T_b_a, rows, at, found, points, sigma, increment, backwards, hessian, gradient):  # type: ignore[no-untyped-def]
+    """`_sum` for points on no surface: the residual is the way to the partner.
+
+    A corner lies somewhere between two beams, so that the kernel is wider and the weight less where they are apart.
+    """
     cos, sin = math.cos(T_b_a[2]), math.sin(T_b_a[2])
     tx, ty = T_b_a[0], T_b_a[1]
     h02 = h12 = h22 = g0 = g1 = g2 = total = 0.0
@@ -251,16 +255,15 @@ def _sum_corners(T_b_a, rows, at, found, points, sigma, increment, backwards, he
         x, y = float(at[0, i]), float(at[1, i])
         bx, by = float(points[beam, 0]), float(points[beam, 1])
         ex, ey = x - bx, y - by
-        width = sigma + CORNER_SIGMA * increment * at[2, i]
-        weight = 1.0 / (1.0 + (ex * ex + ey * ey) / width**2)
-        weight *= weight * cw * (0.045 / width)**2
+        width = sigma + _LOOSE_SHARE * increment * at[2, i]
+        weight = (_SURFACE_SIGMA_M / (width * (1 + (ex * ex + ey * ey) / width**2))) ** 2
         if backwards:
-            ux, uy = cos * bx + sin * by - (cos * tx + sin * ty), -sin * bx + cos * by - (-sin * tx + cos * ty)
+            # Seen from a, whose pose T_a_b is estimated, the partner moves.
             ux, uy = cos * bx + sin * by, -sin * bx + cos * by
-            ex, ey = -(cos * ex + sin * ey), -(-sin * ex + cos * ey)
+            ex, ey = -(cos * ex + sin * ey), sin * ex - cos * ey
         else:
             ux, uy = x - tx, y - ty
-        # residual derivative: [1, 0, -uy], [0, 1, ux]
+        # d(residual) = [[1, 0, -uy], [0, 1, ux]] d(x, y, yaw).
         total += weight
         h02 -= weight * uy
         h12 += weight * ux
@@ -282,42 +285,47 @@ def _sum_corners(T_b_a, rows, at, found, points, sigma, increment, backwards, he
 
 @numba.njit(cache=True, nogil=True)
 def accumulate(  # type: ignore[no-untyped-def]
-    T_b_a, rows, points, normals, kinds, first, increment, distance, sigma, backwards, hessian, gradient, memory, cw
+    T_b_a, rows, points, normals, kinds, first, increment, distance, sigma, backwards, hessian, gradient, memory, loose
 ):
-    """Add what surfaces of a scan a (rows: see `picked`) say about T_b_a, for a step added to it.
+    """Add what beams of a scan a (rows: see `parted`) say about T_b_a, for a step added to it.
 
-    hessian: (3, 3), gradient: (3,). The residual is the distance of a point of a from the line through its partner in b
-    (Chen and Medioni, 1992), at most `distance` m away, weighted by Geman and McClure's kernel of width sigma (m). With
-    `backwards` the roles of the given transform are swapped: T_b_a is the inverse of what is estimated, and so are
-    hessian and gradient those of that inverse. Returns how many beams found a partner that fits, and how many lie in
-    view of b.
+    hessian: (3, 3), gradient: (3,). The residual is the distance of a point on a surface from the line through its
+    partner in b (Chen and Medioni, 1992), at most `distance` m away, and of a point of the kinds `loose` from its
+    partner among such, weighted by Geman and McClure's kernel of width sigma (m). With `backwards` the roles of the
+    given transform are swapped: T_b_a is the inverse of what is estimated, and so are hessian and gradient those of
+    that inverse. Returns how many beams on surfaces found a partner that fits, and how many lie in view of b.
     """
-    lines, corners = rows
-    if cw > 0:
-        found = partners(T_b_a, corners, points, kinds, first, increment, distance, 0.5 * increment, CORNER, memory)
-        _sum_corners(T_b_a, corners, memory[0], found, points, sigma, increment, backwards, hessian, gradient, cw)
-    found = partners(T_b_a, lines, points, kinds, first, increment, distance, 0.0, SURFACE, memory)
-    return _sum(T_b_a, lines, memory[0], found, points, normals, sigma, backwards, hessian, gradient)
+    on_surfaces, others = rows
+    reach = _BEAMS_APART * increment
+    found = partners(T_b_a, others, points, kinds, first, increment, distance, reach, loose, memory)
+    _sum_loose(T_b_a, others, memory[0], found, points, sigma, increment, backwards, hessian, gradient)
+    found = partners(T_b_a, on_surfaces, points, kinds, first, increment, distance, 0.0, SURFACE, memory)
+    return _sum(T_b_a, on_surfaces, memory[0], found, points, normals, sigma, backwards, hessian, gradient)
 
 
 @numba.njit(cache=True, nogil=True)
-def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigma):  # type: ignore[no-untyped-def]
-    """What keyframes i and j say about T_j_i, each scan laid on the other: hessian, gradient, inliers, seen."""
+def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigma, loose):  # type: ignore[no-untyped-def]
+    """What keyframes i and j say about T_j_i, each scan laid on the other: hessian, gradient, inliers, seen.
+
+    loose: kinds of beams on no surface that count.
+    """
     hessian = np.zeros((3, 3))
     gradient = np.zeros(3)
     memory = room(kinds.shape[1])
     inliers, seen = accumulate(
-        T_j_i, both(points[i], normals[i], kinds[i], 1),
-        points[j], normals[j], kinds[j], firsts[j], increments[j], distance, sigma, False, hessian, gradient, memory, 1.0,
+        T_j_i, parted(points[i], normals[i], kinds[i], loose, 1),
+        points[j], normals[j], kinds[j], firsts[j], increments[j],
+        distance, sigma, False, hessian, gradient, memory, loose,
     )  # fmt: skip
     more, seen_back = accumulate(
-        relative(T_j_i, np.zeros(3)), both(points[j], normals[j], kinds[j], 1),
-        points[i], normals[i], kinds[i], firsts[i], increments[i], distance, sigma, True, hessian, gradient, memory, 1.0,
+        relative(T_j_i, np.zeros(3)), parted(points[j], normals[j], kinds[j], loose, 1),
+        points[i], normals[i], kinds[i], firsts[i], increments[i],
+        distance, sigma, True, hessian, gradient, memory, loose,
     )  # fmt: skip
     return hessian, gradient, inliers + more, seen + seen_back
 
 
-def _several_pairs(poses, first, second, points, normals, kinds, firsts, increments, distance, sigma):  # type: ignore[no-untyped-def]
+def _several_pairs(poses, first, second, points, normals, kinds, firsts, increments, distance, sigma, loose):  # type: ignore[no-untyped-def]
     """`pair` for many: T_j_i (M, 3) of keyframes i = first, j = second, hessians (M, 3, 3), gradients, counts.
 
     The counts (M, 2) are of inliers and of beams in view.
@@ -329,7 +337,7 @@ def _several_pairs(poses, first, second, points, normals, kinds, firsts, increme
         i, j = first[m], second[m]
         T[m] = relative(poses[j], poses[i])
         hessians[m], gradients[m], counts[m, 0], counts[m, 1] = pair(
-            T[m], i, j, points, normals, kinds, firsts, increments, distance, sigma
+            T[m], i, j, points, normals, kinds, firsts, increments, distance, sigma, loose
         )
     return T, hessians, gradients, counts
 
@@ -384,7 +392,7 @@ def lay(  # type: ignore[no-untyped-def]
         pull[:] = 0.0
         more, viewed = accumulate(
             relative(poses[k], pose), rows, points[k], normals[k], kinds[k], firsts[k], increments[k],
-            distance, sigma, False, one, pull, memory, 1.0,
+            distance, sigma, False, one, pull, memory, CORNER,
         )  # fmt: skip
         inliers += more
         seen += viewed
@@ -407,7 +415,7 @@ def match(  # type: ignore[no-untyped-def]
     """
     pose = start.copy()
     total, pull = np.zeros((3, 3)), np.zeros(3)
-    rows = both(scan_points, scan_normals, scan_kinds, 1)
+    rows = parted(scan_points, scan_normals, scan_kinds, CORNER, 1)
     memory = room(len(scan_kinds))
     inliers = seen = 0
     count = max(1, len(references))
@@ -462,7 +470,7 @@ def agreement(T_b_a, rows, points, kinds, first, increment, memory):  # type: ig
     """
     same = against = 0
     turn = int(2 * math.pi / increment + 0.5)
-    found = partners(T_b_a, rows, points, kinds, first, increment, _SAME_PLACE_M, _SAME_PLACE_SHARE, ANY, memory)
+    found = partners(T_b_a, rows, points, kinds, first, increment, _SAME_PLACE_M, _SAME_PLACE_SHARE, ANY_KIND, memory)
     at, where, _ = memory
     for i in range(len(found)):
         if found[i] >= 0:
@@ -490,13 +498,13 @@ def agreements(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Both ways, against several keyframes: points seen again, points contradicted."""
     same = against = 0
-    rows = picked(scan_points, scan_normals, scan_kinds, ANY, step)
+    rows = picked(scan_points, scan_normals, scan_kinds, ANY_KIND, step)
     memory = room(max(len(scan_kinds), kinds.shape[1]))
     for k in references:
         a, b = agreement(relative(poses[k], pose), rows, points[k], kinds[k], firsts[k], increments[k], memory)
         same += a
         against += b
-        back = picked(points[k], normals[k], kinds[k], ANY, step)
+        back = picked(points[k], normals[k], kinds[k], ANY_KIND, step)
         a, b = agreement(relative(pose, poses[k]), back, scan_points, scan_kinds, first, increment, memory)
         same += a
         against += b

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import wrap
 from g2_recon.localization import pairing, pose_graph
+from g2_recon.localization.beams import LOOSE
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.tracking import PAIR_SIGMA_M
 from g2_recon.progress import Progress, silent
@@ -51,7 +52,7 @@ def refine(
         share = min(1.0, done / (_ROUNDS - 3))
         distance = _DISTANCE_M[0] * (_DISTANCE_M[1] / _DISTANCE_M[0]) ** share
         sigma = _SIGMA_M[0] * (_SIGMA_M[1] / _SIGMA_M[0]) ** share
-        T, hessians, gradients, counts = pairing.pairs(poses, first, second, *keyframes.arrays, distance, sigma)
+        T, hessians, gradients, counts = pairing.pairs(poses, first, second, *keyframes.arrays, distance, sigma, LOOSE)
         used = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
         seen = pose_graph.Edges(first, second, T, hessians, gradients)[used]
         edges = pose_graph.joined(seen, wheels)

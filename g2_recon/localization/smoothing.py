@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from g2_recon.geometry.se2_kernels import relative
 from g2_recon.localization import pairing, pose_graph
+from g2_recon.localization.beams import CORNER
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.tracking import PAIR_SIGMA_M
 
@@ -63,7 +64,7 @@ class Smoother:
         second = i - _SPANS[i - segment >= _SPANS]
         first = np.full(len(second), i)
         T, hessians, gradients, counts = pairing.few_pairs(
-            self._keyframes.poses, first, second, *self._keyframes.arrays, _DISTANCE_M, _KERNEL_M
+            self._keyframes.poses, first, second, *self._keyframes.arrays, _DISTANCE_M, _KERNEL_M, CORNER
         )
         fits = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
         return pose_graph.Edges(first, second, T, hessians, gradients)[fits | (i - second <= _ALWAYS)]

@@ -27,7 +27,7 @@ _FEW_REFERENCES = np.array([1, 2, 3, 5, 8, 11, 15])
 _REFERENCES = np.array([1, 2, 3, 4, 6, 8, 10, 12, 14, 16])
 _WITNESSES = 5
 # What is drawn into the likelihood grid: so many keyframes, into cells of this size, blurred by this, m.
-_DRAWN = 25
+_DRAWN = 40
 _RESOLUTION_M, _SIGMA_M = 0.1, 0.12
 _GRID_CELLS = 500
 
@@ -46,8 +46,8 @@ _FAR_TURNS = np.radians([40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0]
 _WEAK = 10.0
 _SLIDE_M, _SLIDE_STEP_M = 0.4, 0.025
 _FINE_RESOLUTION_M, _FINE_SIGMA_M, _FINE_CELLS = 0.05, 0.06, 1000
-_SLID_SIGMA_M = 0.03
-_AWAY_WITH_ODOMETRY, _AWAY_WITHOUT = 3.0, 1.0
+_SLID_SIGMA_M = 0.02
+_AWAY_WITH_ODOMETRY, _AWAY_WITHOUT = 10.0, 1.0
 # Without odometry the robot is expected to move on as it did on average over the last scans; one alone errs too much.
 _STEADY = 10
 
@@ -107,7 +107,7 @@ class Tracker:
         self._velocity: Float = np.zeros(3)
         self._qualities: deque[float] = deque(maxlen=_MEMORY)
         # Of the latest scans: step of the odometry (NaN: unknown), and step that was found.
-        self._history: deque[tuple[Float, Float]] = deque(maxlen=max(_LATE))
+        self._history: deque[tuple[Float, Float]] = deque(maxlen=max(*_LATE, _STEADY))
 
     def moved(self) -> None:
         """To be called when keyframes were added or improved: what is drawn of them is out of date."""
@@ -128,28 +128,30 @@ class Tracker:
                 placement = replace(placement, quality=best.quality, inliers=best.inliers)
         found = relative(last, placement.pose)
         self._history.append((np.full(3, np.nan) if step is None else step, found))
-        self._velocity = found
+        self._velocity = found.copy()
         if step is None:
             self._velocity[:2] = np.mean([found[:2] for _, found in self._history][-_STEADY:], axis=0)
         return placement
 
     def _best(self, beams: Beams, last: Float, step: Float | None, predictions: list[tuple[Float, Float]]) -> Placement:
-        (likeliest, sigma), *_ = predictions
+        """The match from the likeliest of the predicted steps, unless it is doubtful and another one is better."""
+        (likeliest, sigma), *others = predictions
         guess = compose(last, likeliest)
         if step is None:
-            best = self._found(beams, guess, None)
+            best, margin = self._found(beams, guess, None), _MARGIN
+            if self._good(best):
+                return best
         else:
-            best = self._lay(beams, guess, sigma, few=True)
+            best, margin = self._lay(beams, guess, sigma, few=True), _SEARCH_MARGIN
             if self._good(best) and _near(best.pose, guess, sigma):
                 return best
-        margin = _SEARCH_MARGIN
-        for predicted, uncertainty in predictions:
-            if step is not None or margin == _MARGIN:
-                other = self._found(beams, compose(last, predicted), None if step is None else uncertainty)
-                if other.quality > best.quality + margin or _fits_better(other, best):
-                    best = other
+            others = predictions
+        for predicted, uncertainty in others:
+            other = self._found(beams, compose(last, predicted), None if step is None else uncertainty)
+            if other.quality > best.quality + margin or _fits_better(other, best):
+                best = other
             if self._good(best):
-                break
+                return best
             margin = _MARGIN
         if not best.matched:
             for turn in _FAR_TURNS:
@@ -239,8 +241,8 @@ class Tracker:
         weak = np.ascontiguousarray(vectors[:, 0])
         expected = float((guess - placement.pose)[:2] @ weak)
         off = likelihood.slide(
-            self._drawn_fine(), beams.points, beams.kinds, placement.pose, weak, _SLIDE_M, _SLIDE_STEP_M, expected, away,
-            *self._fine_corner, _FINE_RESOLUTION_M,
+            self._drawn_fine(), beams.points, beams.kinds, placement.pose, weak, _SLIDE_M, _SLIDE_STEP_M,
+            expected, away, self._fine_corner[0], self._fine_corner[1], _FINE_RESOLUTION_M,
         )  # fmt: skip
         share = 1 / (1 + held * (_SLID_SIGMA_M / PAIR_SIGMA_M) ** 2)
         pose, information = placement.pose.copy(), placement.information.copy()
@@ -262,7 +264,7 @@ class Tracker:
         grid[:] = 0
         corner = np.asarray(poses[-1, :2] - 0.5 * len(grid) * resolution)
         for k in range(max(self.segment, count - _DRAWN), count):
-            likelihood.splat(grid, points[k], kinds[k], poses[k], *corner, resolution, bell)
+            likelihood.splat(grid, points[k], kinds[k], poses[k], corner[0], corner[1], resolution, bell)
         return corner
 
     def _draw(self) -> None:
