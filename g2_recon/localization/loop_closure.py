@@ -105,6 +105,20 @@ class LoopCloser:
         self.poses = np.vstack([self.poses, poses[reference]])
         return len(self.maps) - 1
 
+    def resume(self, begins: NDArray[np.int64], ways: Float, loops: NDArray[np.int64], information: Float) -> None:
+        """Take up the local maps (C,) and loops (L, 2) of a saved session, with all where its keyframes are now."""
+        ends = [*begins[1:].tolist(), len(self._keyframes)]
+        for first, last in zip(begins.tolist(), ends, strict=True):
+            self.add(first, last, float(ways[(first + last) // 2]))
+        for (a, b), known in zip(loops.tolist(), information, strict=True):
+            self.loops.append((a, b, se2.relative(self.poses[a], self.poses[b]), known.copy()))
+
+    def credible(self) -> list[tuple[int, int, Float, Float]]:
+        """The loops that fit with all the others."""
+        loops = self._edges([])[len(self._sequence) :]
+        fits = pose_graph.deviations(self.poses, loops) < _KERNEL
+        return [loop for loop, credible in zip(self.loops, fits, strict=True) if credible]
+
     def _cloud(self, keyframes, base, farthest, cell) -> Float:  # type: ignore[no-untyped-def]
         points, _, kinds, _, _ = self._keyframes.arrays
         poses = self._keyframes.poses

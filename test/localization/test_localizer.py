@@ -198,7 +198,7 @@ def test_standing_still_for_long_adds_nothing_to_memory(scan_of_room):
 
     def sizes():
         held = [
-            localizer._scan_of, localizer._wheel_steps, localizer._ways, localizer._broken, localizer._stamps,
+            localizer._keyframe_stamps, localizer._wheel_steps, localizer._ways, localizer._broken, localizer._stamps,
             localizer._owners, localizer._offsets, localizer._causal, localizer._scans, localizer._keyframes,
             localizer._loops.maps,
         ]  # fmt: skip
