@@ -244,6 +244,8 @@ def find_places(  # type: ignore[no-untyped-def]
                     stack[depth, 0] = level - 1
                     stack[depth, 1], stack[depth, 2], stack[depth, 3] = child[c, 0], child[c, 1], child[c, 2]
                     depth += 1
+    while kept and scores[kept - 1] <= int(share * scores[0]):
+        kept -= 1
     poses = np.empty((kept, 3))
     for k in range(kept):
         poses[k, 0] = corner[0] + found[k, 0] * resolution

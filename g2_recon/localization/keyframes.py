@@ -68,7 +68,7 @@ class Keyframes:
         """Replace all by poses (N, 3) and arrays as in `arrays`."""
         points, normals, kinds, firsts, increments = arrays
         count, width = kinds.shape
-        self._allocate(max(count, _FEWEST_ROWS), max(width, 1))
+        self._allocate(max(count, 1), max(width, 1))
         self._count = count
         self._poses[:count] = poses
         self._points[:count, :width] = points

@@ -127,9 +127,8 @@ class Localizer:
             upside_down=self._upside_down,
             twist=self._twist if step is None else _velocity(step, elapsed),
         )
-        before = self._last
         placement = self._place(seen, step)
-        self._twist = _velocity(relative(before, placement.pose), elapsed)
+        self._twist = _velocity(relative(self._last, placement.pose), elapsed)
         self._stamp = scan.stamp
         self._wheels_since = compose(self._wheels_since, _UNKNOWN if step is None else step)
         self._last = placement.pose
@@ -281,15 +280,20 @@ class Localizer:
 
     def resume(self, session: Session, pose: ArrayLike = se2.IDENTITY) -> None:
         """Forget everything and go on in the map of a session, in a new segment with the robot at `pose` (3,)."""
-        self.reset(pose)
-        arrays = session.points, session.normals, session.kinds, session.firsts, session.increments
-        self._keyframes.fill(session.poses, arrays)
-        self._keyframe_stamps = session.stamps.tolist()
+        Localizer.reset(self, pose)
+        self._take_keyframes(session)
         self._wheel_steps = list(session.wheel_steps)
         self._ways = session.ways.tolist()
         self._broken = session.broken.tolist()
         self._loops.resume(session.local_maps, session.ways, session.loops, session.loop_information)
-        self._map_begins = self._tracker.segment = len(session)
+        self._map_begins = len(session)
+
+    def _take_keyframes(self, session: Session) -> None:
+        """In place of those that there are; a new segment begins after them."""
+        arrays = session.points, session.normals, session.kinds, session.firsts, session.increments
+        self._keyframes.fill(session.poses, arrays)
+        self._keyframe_stamps = session.stamps.tolist()
+        self._tracker.segment = len(session)
 
     def finish(self, progress: Progress = silent) -> None:
         """Close the loops that are left and refine all poses, as one does after the end of a recording."""

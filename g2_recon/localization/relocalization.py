@@ -21,7 +21,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound
-from g2_recon.localization.beams import INVALID, POINT, SURFACE
+from g2_recon.localization.beams import INVALID, POINT, SURFACE, Beams
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.pairing import add_turned, agreement, lay, picked, room
 from g2_recon.localization.point_map import first_in_each_cell
@@ -38,10 +38,10 @@ _LEVELS, _MOST_CELLS, _COARSEST_M = 5, 16_000_000, 0.4
 _FREE_BLOCK, _FREE_STEP_M = 4, 0.2
 
 # The query: so many points from so near, thinned to such cells.
-_QUERY_POINTS, _QUERY_RANGE_M, _QUERY_CELL_M, _FEWEST_POINTS = 250, 20.0, 0.1, 40
+_QUERY_POINTS, _QUERY_RANGE_M, _QUERY_CELL_M, _FEWEST_POINTS = 200, 20.0, 0.1, 40
 _TURNS = 480
 # Candidates: least score, share of the best, how many; within this distance and angle only the best counts.
-_LEAST_SCORE, _LEAST_SHARE, _MOST_CANDIDATES = 0.4, 0.75, 16
+_LEAST_SCORE, _LEAST_SHARE, _MOST_CANDIDATES = 0.5, 0.8, 12
 _NEAR_M, _NEAR_TURNS = 0.4, 12
 
 # Keyframes within this distance are asked what they see of a scan; so many of them, of which these see the most.
@@ -117,17 +117,9 @@ class WholeMap:
 
         The poses of the scans tell how they lie to one another.
         """
-        points, _, kinds, _, _ = scans.arrays
-        group = se2.relative(scans.poses[rows[-1]], scans.poses[rows])
-        parts = []
-        for k, T in zip(rows, group, strict=True):
-            near = (kinds[k] != INVALID) & (np.hypot(points[k, :, 0], points[k, :, 1]) < _QUERY_RANGE_M)
-            parts.append(se2.transform_points(T, points[k][near]))
-        cloud = np.concatenate(parts)
-        cloud = cloud[first_in_each_cell(cloud, _QUERY_CELL_M)]
-        if len(cloud) < _FEWEST_POINTS:
+        query = self._query(scans, rows)
+        if len(query) < _FEWEST_POINTS:
             return [], True
-        query = cloud[np.random.default_rng(0).permutation(len(cloud))[:_QUERY_POINTS]]
         turns = np.arange(_TURNS) * (2 * math.pi / _TURNS)
         near = np.array([round(_NEAR_M / self._resolution), _NEAR_TURNS])
         starts, _, whole = branch_and_bound.find_places(
@@ -136,6 +128,38 @@ class WholeMap:
         )  # fmt: skip
         found = [self.refined(start, scans, rows, query) for start in starts]
         return sorted(found, key=lambda place: -place.value), whole
+
+    @staticmethod
+    def _query(scans: Keyframes, rows: Int) -> Float:
+        """Points (N, 2) of scans (M,), not too many, as seen from the last of them."""
+        points, _, kinds, _, _ = scans.arrays
+        parts = []
+        for k in rows:
+            near = (kinds[k] != INVALID) & (np.hypot(points[k, :, 0], points[k, :, 1]) < _QUERY_RANGE_M)
+            parts.append(se2.transform_points(se2.relative(scans.poses[rows[-1]], scans.poses[k]), points[k][near]))
+        cloud = np.concatenate(parts)
+        cloud = cloud[first_in_each_cell(cloud, _QUERY_CELL_M)]
+        return cloud[np.random.default_rng(0).permutation(len(cloud))[:_QUERY_POINTS]]
+
+    def around(self, pose: Float, scan: Beams, *, metres: float, radians: float) -> Place | None:
+        """The best place of a scan within a distance and an angle from a pose (3,), None where it fits nowhere."""
+        scans = Keyframes()
+        scans.add(scan, pose)
+        query = self._query(scans, np.array([0]))
+        if len(query) < _FEWEST_POINTS:
+            return None
+        half = np.arange(0.0, radians + 1e-9, 2 * math.pi / _TURNS)
+        turns = np.concatenate([[0.0], *[[-turn, turn] for turn in half[1:]]])
+        start, score = branch_and_bound.find(
+            self._levels, self._corner, self._resolution, query, pose, metres, turns, _LEAST_SCORE
+        )
+        return self.refined(start, scans, np.array([0]), query) if score > 0 else None
+
+    def seen_from(self, pose: Float, scan: Beams, most: int) -> Int:
+        """The keyframes, so many at most, that see the most of what a scan at a pose (3,) sees, most of it first."""
+        seen = scan.points, scan.normals, scan.kinds, scan.first, scan.increment
+        keyframes = self._keyframes
+        return np.asarray(most_overlap(pose, *seen, self._around(pose), keyframes.poses, *keyframes.arrays)[:most])
 
     def refined(self, start: Float, scans: Keyframes, rows: Int, query: Float) -> Place:
         """The place near a start (3,) where the scans fit best."""
