@@ -27,17 +27,17 @@ Float = NDArray[np.float64]
 _REFERENCES, _CHOOSE_M, _CHOOSE_RAD = 25, 0.5, 0.2
 # After so many scans in a row that do not match, the place is not known any more.
 _PATIENCE = 5
-# A match that is no better than this for so many scans in a row is doubted: does another place fit? Each time that none
-# does, it takes twice as many.
-_DOUBTFUL, _DOUBTED_SCANS = 0.8, 30
+# Below this score a match is not believed. One below the others, score and quality, is doubtful: after so many scans in
+# a row, does another place fit? Each time that none does, it takes twice as many.
+_LEAST_SCORE, _DOUBTFUL_SCORE, _DOUBTFUL_QUALITY, _DOUBTED_SCANS = 0.5, 0.8, 0.85, 10
 # A robot that was lost is back where its way led it if so many keyframes in a row fit as well as this so near.
 _BACK_M, _BACK_RAD, _BACK_SCORE, _BACK_QUALITY, _BACK_KEYFRAMES = 0.5, np.radians(10.0), 0.7, 0.9, 3
 # A given pose is wrong by no more than this, and the place must be as good.
 _GIVEN_M, _GIVEN_RAD, _GIVEN_SCORE, _GIVEN_QUALITY = 1.0, np.radians(20.0), 0.5, 0.8
-# How unsure things are, m, m, rad: the map itself, a given pose, a place that is not known, where track was lost. How
+# How unsure things are, m, m, rad: the map itself, a given pose or a doubtful match, a place that is not known, where track was lost. How
 # much is added for a step without a match, and for each metre and radian of it.
 _MAP_SIGMA = np.array([0.015, 0.015, 0.003])
-_GIVEN_SIGMA = np.array([0.5, 0.5, 0.2])
+_GIVEN_SIGMA = _DOUBTFUL_SIGMA = np.array([0.5, 0.5, 0.2])
 _UNKNOWN_SIGMA = np.array([1000.0, 1000.0, np.pi])
 _LOST_SIGMA = np.array([5.0, 5.0, 0.5])
 _DRIFT_FLOOR, _DRIFT_SHARE = np.array([0.01, 0.01, 0.01]), np.array([0.1, 0.1, 0.2])
@@ -80,6 +80,7 @@ class MapLocalizer(Localizer):
         self._covariance: Float = np.diag(_UNKNOWN_SIGMA**2)
         self._kept = self._look_at = 0
         self._doubted, self._doubt_at = 0, _DOUBTED_SCANS
+        self._doubtful = False
         self._back = 0
         self._moved: Float = np.zeros(3)
         self._given = None if pose is None else self._start.copy()
@@ -118,8 +119,13 @@ class MapLocalizer(Localizer):
 
     def _follow_on(self, seen: Beams, step: Float | None) -> Placement:
         placement = self._track(self._last, seen, step)
+        score = self._whole_map.score(placement.pose, seen)
+        if placement.matched and score < _LEAST_SCORE:
+            guess = self._last if step is None else compose(self._last, step)
+            placement = Placement(guess, np.zeros((3, 3)), placement.quality, placement.inliers, False)
+        self._doubtful = score < _DOUBTFUL_SCORE or placement.quality < _DOUBTFUL_QUALITY
         self._lost = 0 if placement.matched else self._lost + 1
-        self._doubted = self._doubted + 1 if placement.quality < _DOUBTFUL else 0
+        self._doubted = self._doubted + 1 if self._doubtful else 0
         if self._lost >= _PATIENCE:
             self._lose(placement.pose)
         elif self._doubted >= self._doubt_at:
@@ -191,6 +197,7 @@ class MapLocalizer(Localizer):
     def _go_to(self, pose: Float) -> None:
         """Go on tracking from a pose that does not follow from the one before."""
         self._known = True
+        self._doubtful = False
         self._lost = self._doubted = 0
         self._doubt_at = _DOUBTED_SCANS
         self._chosen_at = None
@@ -211,7 +218,8 @@ class MapLocalizer(Localizer):
         """Covariance (3, 3) of the present pose: of the match and the map, or grown since the last match."""
         if placement.matched:
             least = 1e-4 * np.eye(3)
-            self._covariance = np.linalg.inv(placement.information + least) + np.diag(_MAP_SIGMA**2)
+            sigma = _DOUBTFUL_SIGMA if self._doubtful else _MAP_SIGMA
+            self._covariance = np.linalg.inv(placement.information + least) + np.diag(sigma**2)
         else:
             way = np.hypot(self._moved[0], self._moved[1])
             drift = _DRIFT_FLOOR + _DRIFT_SHARE * (way, way, self._moved[2])

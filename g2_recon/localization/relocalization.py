@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
-from g2_recon.localization import branch_and_bound
+from g2_recon.localization import branch_and_bound, likelihood
 from g2_recon.localization.beams import INVALID, POINT, SURFACE, Beams
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.pairing import add_turned, agreement, lay, picked, room
@@ -154,6 +154,11 @@ class WholeMap:
             self._levels, self._corner, self._resolution, query, pose, metres, turns, _LEAST_SCORE
         )
         return self.refined(start, scans, np.array([0]), query) if score > 0 else None
+
+    def score(self, pose: Float, scan: Beams) -> float:
+        """Mean likelihood of the points of a scan at a pose (3,), 0 to 1."""
+        x, y = self._corner
+        return float(likelihood.score(self._levels[0], scan.points, scan.kinds, pose, x, y, self._resolution))
 
     def seen_from(self, pose: Float, scan: Beams, most: int) -> Int:
         """The keyframes, so many at most, that see the most of what a scan at a pose (3,) sees, most of it first."""
