@@ -44,7 +44,7 @@ def relative(T_a_b: Float, T_a_c: Float) -> Float:
 
 @numba.njit(cache=True, nogil=True)
 def solve_3x3(A: Float, b: Float) -> Float:
-    """x (3,) with A x = b, for a symmetric positive definite A (3, 3), by its Cholesky factors."""
+    """X (3,) with A x = b, for a symmetric positive definite A (3, 3), by its Cholesky factors."""
     a = math.sqrt(A[0, 0])
     d, g = A[1, 0] / a, A[2, 0] / a
     e = math.sqrt(A[1, 1] - d * d)

@@ -112,11 +112,12 @@ class Session:
         ):
             raise InputError("loop_information of a session is no information", advice=_ADVICE)
 
-    def scans(self) -> list[Scan]:
-        """The scans of the keyframes as of a laser that is not upside down; a beam without a return says nothing."""
+    def scans(self, *, upside_down: bool = False) -> list[Scan]:
+        """The scans of the keyframes, as of a laser that is mounted so; a beam without a return says nothing."""
         ranges = np.where(self.kinds > 0, np.linalg.norm(self.points, axis=2), np.nan).astype(np.float32)
+        turn = -1.0 if upside_down else 1.0
         return [
-            Scan(float(stamp), row, float(first), float(increment))
+            Scan(float(stamp), row, turn * float(first), turn * float(increment))
             for stamp, row, first, increment in zip(self.stamps, ranges, self.firsts, self.increments, strict=True)
         ]
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""Scans of a robot that does not know its place, tracked from one to the next, so that they can be looked for at once."""
+"""Scans of a robot that does not know its place, tracked from one to the next, to be looked for at once."""
 
 from __future__ import annotations
 
@@ -56,7 +56,9 @@ class Collector:
             self._empty()
             return self._keep(beams)
         moved = np.abs(relative(self.keyframes.poses[-1], self.pose))
-        is_new = np.hypot(moved[0], moved[1]) >= self._config.keyframe_distance or moved[2] >= self._config.keyframe_angle
+        is_new = (
+            np.hypot(moved[0], moved[1]) >= self._config.keyframe_distance or moved[2] >= self._config.keyframe_angle
+        )
         return bool(placement.matched and is_new and self._keep(beams))
 
     def _keep(self, beams: Beams) -> bool:

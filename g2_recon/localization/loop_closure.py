@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, pose_graph
+from g2_recon.localization.beams import SURFACE
 from g2_recon.localization.branch_and_bound import Pyramid
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.beams import SURFACE
 from g2_recon.localization.pairing import add_turned, agreements, lay, picked, room
 from g2_recon.localization.point_map import first_in_each_cell
 
@@ -55,6 +55,8 @@ _RIVAL = 0.85
 _AMBIGUOUS = 1e-5
 
 _LOOP_SIGMA_M, _LOOP_SIGMA_RAD = 0.05, 0.01
+# How sure a place in the map of an earlier session is.
+_KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD = 0.1, 0.02
 _KERNEL = 16.0
 _MOST_COST = 25.0
 _MOST_DEVIATION = 16.0
@@ -112,6 +114,19 @@ class LoopCloser:
             self.add(first, last, float(ways[(first + last) // 2]))
         for (a, b), known in zip(loops.tolist(), information, strict=True):
             self.loops.append((a, b, se2.relative(self.poses[a], self.poses[b]), known.copy()))
+
+    def carry(self, first: int, step: Float) -> None:
+        """Move the local maps of keyframes from `first` on by a step (3,) in the map, where their place is known."""
+        for c, local in enumerate(self.maps):
+            if local.first >= first:
+                self.poses[c] = se2.compose(step, self.poses[c])
+            if local.first == first and c:
+                information = np.diag([1 / _KNOWN_SIGMA_M**2] * 2 + [1 / _KNOWN_SIGMA_RAD**2])
+                self._sequence[c - 1] = (se2.relative(self.poses[c - 1], self.poses[c]), information)
+
+    def ties(self, first: int) -> bool:
+        """Whether a loop ties keyframes from `first` on to earlier ones."""
+        return any(self.maps[a].first < first <= self.maps[b].first for a, b, _, _ in self.loops)
 
     def credible(self) -> list[tuple[int, int, Float, Float]]:
         """The loops that fit with all the others."""

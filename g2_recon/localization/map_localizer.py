@@ -17,7 +17,7 @@ from g2_recon.localization.beams import SURFACE, Beams
 from g2_recon.localization.collecting import Collector, latest
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.localizer import Localizer
-from g2_recon.localization.relocalization import Place, WholeMap
+from g2_recon.localization.relocalization import GIVEN_M, GIVEN_RAD, Place, Schedule, WholeMap, fits_as_given
 from g2_recon.localization.tracking import FEWEST_SURFACES, Placement, Tracker
 from g2_recon.progress import Progress, silent
 
@@ -32,17 +32,13 @@ _PATIENCE = 5
 _LEAST_SCORE, _DOUBTFUL_SCORE, _DOUBTFUL_QUALITY, _DOUBTED_SCANS = 0.5, 0.8, 0.85, 10
 # A robot that was lost is back where its way led it if so many keyframes in a row fit as well as this so near.
 _BACK_M, _BACK_RAD, _BACK_SCORE, _BACK_QUALITY, _BACK_KEYFRAMES = 0.5, np.radians(10.0), 0.7, 0.9, 3
-# A given pose is wrong by no more than this, and the place must be as good.
-_GIVEN_M, _GIVEN_RAD, _GIVEN_SCORE, _GIVEN_QUALITY = 1.0, np.radians(20.0), 0.5, 0.8
-# How unsure things are, m, m, rad: the map itself, a given pose or a doubtful match, a place that is not known, where track was lost. How
-# much is added for a step without a match, and for each metre and radian of it.
+# How unsure things are, m, m, rad: the map itself, a given pose or a doubtful match, a place that is not known, where
+# track was lost. How much is added for a step without a match, and for each metre and radian of it.
 _MAP_SIGMA = np.array([0.015, 0.015, 0.003])
 _GIVEN_SIGMA = _DOUBTFUL_SIGMA = np.array([0.5, 0.5, 0.2])
 _UNKNOWN_SIGMA = np.array([1000.0, 1000.0, np.pi])
 _LOST_SIGMA = np.array([5.0, 5.0, 0.5])
 _DRIFT_FLOOR, _DRIFT_SHARE = np.array([0.01, 0.01, 0.01]), np.array([0.1, 0.1, 0.2])
-# The place is looked for after one more keyframe, after a quarter more of them, and at least after so many.
-_SHARE_MORE, _MOST_MORE = 4, 20
 
 _log = logging.getLogger(__name__)
 
@@ -78,7 +74,7 @@ class MapLocalizer(Localizer):
         self._T_map_collected: Float = self._start.copy()
         self._known = False
         self._covariance: Float = np.diag(_UNKNOWN_SIGMA**2)
-        self._kept = self._look_at = 0
+        self._schedule = Schedule()
         self._doubted, self._doubt_at = 0, _DOUBTED_SCANS
         self._doubtful = False
         self._back = 0
@@ -88,6 +84,11 @@ class MapLocalizer(Localizer):
     def set_pose(self, pose: ArrayLike) -> None:
         """The robot is near `pose` (3,), T_map_base, as somebody says: look for it around there."""
         self._given = se2.compose(np.asarray(pose, float), self._T_base_laser)
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the place of the robot in the map is known."""
+        return self._known
 
     def session(self) -> Session:
         """The session as it was given."""
@@ -111,8 +112,8 @@ class MapLocalizer(Localizer):
         """Near a given pose; where nothing fits, that pose counts until scans have not matched for a while."""
         self._given = None
         self._covariance = np.diag(_GIVEN_SIGMA**2)
-        place = self._whole_map.around(given, seen, metres=_GIVEN_M, radians=_GIVEN_RAD)
-        if place is not None and place.score > _GIVEN_SCORE and place.quality > _GIVEN_QUALITY:
+        place = self._whole_map.around(given, seen, metres=GIVEN_M, radians=GIVEN_RAD)
+        if place is not None and fits_as_given(place):
             return self._found(place)
         self._go_to(given)
         return Placement(given, np.diag(1 / _GIVEN_SIGMA**2), 0.0, 0.0, False)
@@ -162,7 +163,8 @@ class MapLocalizer(Localizer):
         self._covariance = self._covariance + np.diag(_LOST_SIGMA**2)
         self._collector.clear()
         self._T_map_collected = pose.copy()
-        self._kept = self._look_at = self._back = 0
+        self._schedule = Schedule()
+        self._back = 0
 
     def _search(self, seen: Beams, step: Float | None) -> Placement:
         """Collect scans and look for them in the whole map; meanwhile the pose follows the way."""
@@ -182,15 +184,12 @@ class MapLocalizer(Localizer):
 
     def _look_everywhere(self) -> Place | None:
         """The place by all that was collected, if it is sure; not looked for after every keyframe."""
-        self._kept += 1
-        if self._kept <= self._look_at:
+        if not self._schedule.is_due():
             return None
-        self._look_at = self._kept + min(self._kept // _SHARE_MORE, _MOST_MORE)
         return self._whole_map.find(self._collector.keyframes, latest(len(self._collector.keyframes)))
 
     def _found(self, place: Place) -> Placement:
-        x, y, yaw = place.pose
-        _log.info("the place is found: x %.2f m, y %.2f m, yaw %.2f rad", x, y, yaw)
+        _log.info("the place is found: x %.2f m, y %.2f m, yaw %.2f rad", *place.pose)
         self._go_to(place.pose)
         return Placement(place.pose, place.information, place.quality, place.inliers, True)
 

@@ -23,7 +23,7 @@ from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, likelihood
 from g2_recon.localization.beams import INVALID, POINT, SURFACE, Beams
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.pairing import add_turned, agreement, lay, picked, room
+from g2_recon.localization.pairing import agreement, lay, picked, room
 from g2_recon.localization.point_map import first_in_each_cell
 from g2_recon.localization.tracking import PAIR_SIGMA_M
 
@@ -49,10 +49,18 @@ _TOGETHER_M, _ASKED, _REFERENCES, _ASK_STEP = 8.0, 64, 8, 3
 _DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.4, 0.12), (0.15, 0.045), 12
 
 # A place is sure with at least these, if no other one has more than this share of its value, within so much sigma.
-_SURE_SCORE, _SURE_QUALITY, _SURE_SHARE = 0.6, 0.9, 0.9
+_SURE_QUALITY, _SURE_SHARE = 0.9, 0.9
+# Much that fits for the most part is as good as little that fits well; m of wall and the score that goes with it.
+_SURE_WALL_M, _SURE_SCORE = (8.0, 16.0, 30.0, 60.0), (0.92, 0.88, 0.8, 0.65)
 _SURE_SIGMA_M, _SURE_SIGMA_RAD = 0.05, 0.02
 # Nearer than this, places are the same.
 _SAME_M, _SAME_RAD = 0.1, 0.05
+
+# A pose that somebody gives is wrong by no more than this; how good the place must be.
+GIVEN_M, GIVEN_RAD = 1.0, math.radians(20.0)
+_GIVEN_SCORE, _GIVEN_QUALITY = 0.5, 0.8
+# A place is looked for after one more keyframe, after a quarter more of them, and at least after so many.
+_SHARE_MORE, _MOST_MORE = 4, 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +68,8 @@ class Place:
     """Where the last of some scans may lie.
 
     pose: (3,) T_map_laser. information: (3, 3) of the pose. score: mean likelihood of the points, 0 to 1. quality:
-    share of agreement, as of a Placement. inliers: share of the beams in view that have a partner.
+    share of agreement, as of a Placement. inliers: share of the beams in view that have a partner. wall: m of surface
+    that the scans saw.
     """
 
     pose: Float
@@ -68,6 +77,7 @@ class Place:
     score: float
     quality: float
     inliers: float
+    wall: float
 
     @property
     def value(self) -> float:
@@ -117,7 +127,7 @@ class WholeMap:
 
         The poses of the scans tell how they lie to one another.
         """
-        query = self._query(scans, rows)
+        query, wall = self._query(scans, rows)
         if len(query) < _FEWEST_POINTS:
             return [], True
         turns = np.arange(_TURNS) * (2 * math.pi / _TURNS)
@@ -126,12 +136,12 @@ class WholeMap:
             self._levels, self._free, self._corner, self._resolution, query, turns, _LEAST_SCORE, _LEAST_SHARE, near,
             _MOST_CANDIDATES,
         )  # fmt: skip
-        found = [self.refined(start, scans, rows, query) for start in starts]
+        found = [self._refined(start, scans, rows, query, wall) for start in starts]
         return sorted(found, key=lambda place: -place.value), whole
 
     @staticmethod
-    def _query(scans: Keyframes, rows: Int) -> Float:
-        """Points (N, 2) of scans (M,), not too many, as seen from the last of them."""
+    def _query(scans: Keyframes, rows: Int) -> tuple[Float, float]:
+        """Points (N, 2) of scans (M,), not too many, as seen from the last of them, and m of wall that they cover."""
         points, _, kinds, _, _ = scans.arrays
         parts = []
         for k in rows:
@@ -139,13 +149,14 @@ class WholeMap:
             parts.append(se2.transform_points(se2.relative(scans.poses[rows[-1]], scans.poses[k]), points[k][near]))
         cloud = np.concatenate(parts)
         cloud = cloud[first_in_each_cell(cloud, _QUERY_CELL_M)]
-        return cloud[np.random.default_rng(0).permutation(len(cloud))[:_QUERY_POINTS]]
+        order = np.random.default_rng(0).permutation(len(cloud))
+        return cloud[order[:_QUERY_POINTS]], _QUERY_CELL_M * len(cloud)
 
     def around(self, pose: Float, scan: Beams, *, metres: float, radians: float) -> Place | None:
         """The best place of a scan within a distance and an angle from a pose (3,), None where it fits nowhere."""
         scans = Keyframes()
         scans.add(scan, pose)
-        query = self._query(scans, np.array([0]))
+        query, wall = self._query(scans, np.array([0]))
         if len(query) < _FEWEST_POINTS:
             return None
         half = np.arange(0.0, radians + 1e-9, 2 * math.pi / _TURNS)
@@ -153,7 +164,7 @@ class WholeMap:
         start, score = branch_and_bound.find(
             self._levels, self._corner, self._resolution, query, pose, metres, turns, _LEAST_SCORE
         )
-        return self.refined(start, scans, np.array([0]), query) if score > 0 else None
+        return self._refined(start, scans, np.array([0]), query, wall) if score > 0 else None
 
     def score(self, pose: Float, scan: Beams) -> float:
         """Mean likelihood of the points of a scan at a pose (3,), 0 to 1."""
@@ -162,25 +173,26 @@ class WholeMap:
 
     def seen_from(self, pose: Float, scan: Beams, most: int) -> Int:
         """The keyframes, so many at most, that see the most of what a scan at a pose (3,) sees, most of it first."""
-        seen = scan.points, scan.normals, scan.kinds, scan.first, scan.increment
         keyframes = self._keyframes
-        return np.asarray(most_overlap(pose, *seen, self._around(pose), keyframes.poses, *keyframes.arrays)[:most])
+        found = most_overlap(
+            pose, scan.points, scan.normals, scan.kinds, scan.first, scan.increment,
+            self._around(pose), keyframes.poses, *keyframes.arrays,
+        )  # fmt: skip
+        return np.asarray(found[:most])
 
-    def refined(self, start: Float, scans: Keyframes, rows: Int, query: Float) -> Place:
+    def _refined(self, start: Float, scans: Keyframes, rows: Int, query: Float, wall: float) -> Place:
         """The place near a start (3,) where the scans fit best."""
         keyframes = self._keyframes
         group = se2.relative(scans.poses[rows[-1]], scans.poses[rows])
         asked = self._around(start)
-        arrays = scans.arrays
-        mine = tuple(array[rows] for array in arrays)
+        mine = tuple(array[rows] for array in scans.arrays)
         references = np.full((len(rows), _REFERENCES), -1)
         for m in range(len(rows)):
-            chosen = most_overlap(
-                compose(start, group[m]), *(array[m] for array in mine), asked, keyframes.poses, *keyframes.arrays
-            )[:_REFERENCES]
-            references[m, : len(chosen)] = chosen
+            one = tuple(array[m] for array in mine)
+            chosen = most_overlap(compose(start, group[m]), *(*one, asked, keyframes.poses, *keyframes.arrays))
+            references[m, : min(len(chosen), _REFERENCES)] = chosen[:_REFERENCES]
         pose, hessian, inliers, same, against = lay_group(
-            start, group, *mine, references, keyframes.poses, *keyframes.arrays
+            start, group, *(*mine, references, keyframes.poses, *keyframes.arrays)
         )
         return Place(
             pose,
@@ -188,6 +200,7 @@ class WholeMap:
             self._score(query, pose),
             same / max(1, same + 2 * against),
             inliers,
+            wall,
         )
 
     def _around(self, pose: Float) -> Int:
@@ -208,12 +221,33 @@ def is_sure(places: list[Place]) -> bool:
     if not places:
         return False
     best = places[0]
-    if best.score < _SURE_SCORE or best.quality < _SURE_QUALITY:
+    least = np.interp(best.wall, _SURE_WALL_M, _SURE_SCORE)
+    if best.wall < _SURE_WALL_M[0] or best.score < least or best.quality < _SURE_QUALITY:
         return False
     covariance = np.linalg.inv(best.information)
     if np.linalg.eigvalsh(covariance[:2, :2])[1] > _SURE_SIGMA_M**2 or covariance[2, 2] > _SURE_SIGMA_RAD**2:
         return False
     return all(other.value < _SURE_SHARE * best.value or _same(best.pose, other.pose) for other in places[1:])
+
+
+def fits_as_given(place: Place) -> bool:
+    """Whether a place near a pose that was given can be believed."""
+    return place.score > _GIVEN_SCORE and place.quality > _GIVEN_QUALITY
+
+
+class Schedule:
+    """When to look for a place: more rarely the more keyframes were looked for in vain."""
+
+    def __init__(self) -> None:
+        self._keyframes = self._due = 0
+
+    def is_due(self) -> bool:
+        """Whether to look for it now, asked once a keyframe."""
+        self._keyframes += 1
+        if self._keyframes <= self._due:
+            return False
+        self._due = self._keyframes + min(self._keyframes // _SHARE_MORE, _MOST_MORE)
+        return True
 
 
 def _same(one: Float, other: Float) -> bool:
@@ -242,7 +276,19 @@ def _mark_free(blocks, poses, points, kinds, corner, size, step):  # type: ignor
 
 @numba.njit(cache=True, nogil=True)
 def most_overlap(  # type: ignore[no-untyped-def]
-    pose, scan_points, scan_normals, scan_kinds, first, increment, asked, poses, points, normals, kinds, firsts, increments
+    pose,
+    scan_points,
+    scan_normals,
+    scan_kinds,
+    first,
+    increment,
+    asked,
+    poses,
+    points,
+    normals,
+    kinds,
+    firsts,
+    increments,
 ):
     """Those of the keyframes asked that see the same as a scan at a pose, most of it first."""
     memory = room(len(scan_kinds))
