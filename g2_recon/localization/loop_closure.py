@@ -87,6 +87,8 @@ class LoopCloser:
         self.loops: list[tuple[int, int, Float, Float]] = []
         self._pyramids: dict[int, Pyramid] = {}
         self._cost = 0.0
+        # No loop is looked for between earlier local maps and those from this one on: how they lie is not known.
+        self.apart = 0
         self.rejected = self.ambiguous = self.tried = 0
 
     def add(self, first: int, last: int, way: float) -> int:
@@ -123,10 +125,6 @@ class LoopCloser:
             if local.first == first and c:
                 information = np.diag([1 / _KNOWN_SIGMA_M**2] * 2 + [1 / _KNOWN_SIGMA_RAD**2])
                 self._sequence[c - 1] = (se2.relative(self.poses[c - 1], self.poses[c]), information)
-
-    def ties(self, first: int) -> bool:
-        """Whether a loop ties keyframes from `first` on to earlier ones."""
-        return any(self.maps[a].first < first <= self.maps[b].first for a, b, _, _ in self.loops)
 
     def credible(self) -> list[tuple[int, int, Float, Float]]:
         """The loops that fit with all the others."""
@@ -195,7 +193,10 @@ class LoopCloser:
         candidates = [
             j
             for j in range(c - 2)
-            if ways[c] - ways[j] > _LEAST_WAY_M and distance[j] < window[j] + 4.0 and (j, c) not in known
+            if (j < self.apart) == (c < self.apart)
+            and ways[c] - ways[j] > _LEAST_WAY_M
+            and distance[j] < window[j] + 4.0
+            and (j, c) not in known
         ]
         candidates.sort(key=lambda j: distance[j] / (window[j] + 5.0))
         found = 0

@@ -17,7 +17,7 @@ from g2_recon.localization.beams import SURFACE, Beams
 from g2_recon.localization.collecting import Collector, latest
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.localizer import Localizer
-from g2_recon.localization.relocalization import GIVEN_M, GIVEN_RAD, Place, Schedule, WholeMap, fits_as_given
+from g2_recon.localization.relocalization import GIVEN_M, GIVEN_RAD, Place, Schedule, WholeMap, fits_as_given, is_sure
 from g2_recon.localization.tracking import FEWEST_SURFACES, Placement, Tracker
 from g2_recon.progress import Progress, silent
 
@@ -29,13 +29,16 @@ _REFERENCES, _CHOOSE_M, _CHOOSE_RAD = 25, 0.5, 0.2
 _PATIENCE = 5
 # Below this score a match is not believed. One below the others, score and quality, is doubtful: after so many scans in
 # a row, does another place fit? Each time that none does, it takes twice as many.
-_LEAST_SCORE, _DOUBTFUL_SCORE, _DOUBTFUL_QUALITY, _DOUBTED_SCANS = 0.5, 0.8, 0.85, 10
+_LEAST_SCORE, _DOUBTFUL_SCORE, _DOUBTFUL_QUALITY, _DOUBTED_SCANS = 0.6, 0.8, 0.85, 5
+# A doubted place is confirmed where the best of all is this near.
+_CONFIRMED_M = 0.3
 # A robot that was lost is back where its way led it if so many keyframes in a row fit as well as this so near.
 _BACK_M, _BACK_RAD, _BACK_SCORE, _BACK_QUALITY, _BACK_KEYFRAMES = 0.5, np.radians(10.0), 0.7, 0.9, 3
-# How unsure things are, m, m, rad: the map itself, a given pose or a doubtful match, a place that is not known, where
-# track was lost. How much is added for a step without a match, and for each metre and radian of it.
+# How unsure things are, m, m, rad: the map itself, a given pose, a doubtful match that is confirmed, a place that is
+# not known, one where track was lost or a match is doubtful. How much is added for a step without a match, and for each metre and radian of it.
 _MAP_SIGMA = np.array([0.015, 0.015, 0.003])
-_GIVEN_SIGMA = _DOUBTFUL_SIGMA = np.array([0.5, 0.5, 0.2])
+_GIVEN_SIGMA = np.array([0.5, 0.5, 0.2])
+_CONFIRMED_SIGMA = np.array([0.1, 0.1, 0.05])
 _UNKNOWN_SIGMA = np.array([1000.0, 1000.0, np.pi])
 _LOST_SIGMA = np.array([5.0, 5.0, 0.5])
 _DRIFT_FLOOR, _DRIFT_SHARE = np.array([0.01, 0.01, 0.01]), np.array([0.1, 0.1, 0.2])
@@ -76,7 +79,7 @@ class MapLocalizer(Localizer):
         self._covariance: Float = np.diag(_UNKNOWN_SIGMA**2)
         self._schedule = Schedule()
         self._doubted, self._doubt_at = 0, _DOUBTED_SCANS
-        self._doubtful = False
+        self._doubtful = self._confirmed = False
         self._back = 0
         self._moved: Float = np.zeros(3)
         self._given = None if pose is None else self._start.copy()
@@ -134,11 +137,14 @@ class MapLocalizer(Localizer):
             self._doubt_at *= 2
             scan = Keyframes()
             scan.add(seen, placement.pose)
-            place = self._whole_map.find(scan, np.array([0]))
-            if place is not None:
-                return self._found(place)
+            places, whole = self._whole_map.places(scan, np.array([0]))
+            if whole and is_sure(places):
+                return self._found(places[0])
+            off = np.inf if not places else np.hypot(*(places[0].pose - placement.pose)[:2])
+            self._confirmed = bool(off < _CONFIRMED_M)
         elif not self._doubted:
             self._doubt_at = _DOUBTED_SCANS
+            self._confirmed = False
         return placement
 
     def _track(self, last: Float, seen: Beams, step: Float | None) -> Placement:
@@ -196,7 +202,7 @@ class MapLocalizer(Localizer):
     def _go_to(self, pose: Float) -> None:
         """Go on tracking from a pose that does not follow from the one before."""
         self._known = True
-        self._doubtful = False
+        self._doubtful = self._confirmed = False
         self._lost = self._doubted = 0
         self._doubt_at = _DOUBTED_SCANS
         self._chosen_at = None
@@ -217,7 +223,9 @@ class MapLocalizer(Localizer):
         """Covariance (3, 3) of the present pose: of the match and the map, or grown since the last match."""
         if placement.matched:
             least = 1e-4 * np.eye(3)
-            sigma = _DOUBTFUL_SIGMA if self._doubtful else _MAP_SIGMA
+            sigma = _MAP_SIGMA
+            if self._doubtful:
+                sigma = _CONFIRMED_SIGMA if self._confirmed else _LOST_SIGMA
             self._covariance = np.linalg.inv(placement.information + least) + np.diag(sigma**2)
         else:
             way = np.hypot(self._moved[0], self._moved[1])

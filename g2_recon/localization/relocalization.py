@@ -46,12 +46,14 @@ _NEAR_M, _NEAR_TURNS = 0.4, 12
 
 # Keyframes within this distance are asked what they see of a scan; so many of them, of which these see the most.
 _TOGETHER_M, _ASKED, _REFERENCES, _ASK_STEP = 8.0, 64, 8, 3
-_DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.4, 0.12), (0.15, 0.045), 12
+_DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.3, 0.12), (0.1, 0.045), 12
+# Before, the best place is looked for between the cells; after, it must not score less by this.
+_TURN, _CLIMBS, _SLID_SCORE, _UNHELD = 2 * math.pi / _TURNS, 4, 0.02, 1e-3
 
-# A place is sure with at least these, if no other one has more than this share of its value, within so much sigma.
-_SURE_QUALITY, _SURE_SHARE = 0.9, 0.9
-# Much that fits for the most part is as good as little that fits well; m of wall and the score that goes with it.
-_SURE_WALL_M, _SURE_SCORE = (8.0, 16.0, 30.0, 60.0), (0.92, 0.88, 0.8, 0.65)
+# A place is sure with at least these, as walls do not go away, if no other one has more than this share of its value, within so much sigma.
+_SURE_QUALITY, _SURE_STANDING, _SURE_SHARE = 0.9, 0.97, 0.9
+# Much that fits for the most part is as good as little that fits well: m of wall, and the score that goes with it.
+_SURE_WALL_M, _SURE_SCORE = (8.0, 16.0, 40.0), (0.92, 0.88, 0.75)
 _SURE_SIGMA_M, _SURE_SIGMA_RAD = 0.05, 0.02
 # Nearer than this, places are the same.
 _SAME_M, _SAME_RAD = 0.1, 0.05
@@ -68,7 +70,8 @@ class Place:
     """Where the last of some scans may lie.
 
     pose: (3,) T_map_laser. information: (3, 3) of the pose. score: mean likelihood of the points, 0 to 1. quality:
-    share of agreement, as of a Placement. inliers: share of the beams in view that have a partner. wall: m of surface
+    share of agreement, as of a Placement. standing: share of the points of the map in view that are still there; the
+    scans look through the others. inliers: share of the beams in view that have a partner. wall: m of surface
     that the scans saw.
     """
 
@@ -76,13 +79,14 @@ class Place:
     information: Float
     score: float
     quality: float
+    standing: float
     inliers: float
     wall: float
 
     @property
     def value(self) -> float:
         """How good the place is, 0 to 1."""
-        return self.score * self.quality
+        return self.score * self.quality * self.standing
 
 
 class WholeMap:
@@ -184,6 +188,17 @@ class WholeMap:
         """The place near a start (3,) where the scans fit best."""
         keyframes = self._keyframes
         group = se2.relative(scans.poses[rows[-1]], scans.poses[rows])
+        start = likelihood.climb(
+            self._levels[0],
+            query,
+            np.ones(len(query), np.uint8),
+            start,
+            *self._corner,
+            self._resolution,
+            _TURN,
+            _CLIMBS,
+        )
+        start[2] = wrap(start[2])
         asked = self._around(start)
         mine = tuple(array[rows] for array in scans.arrays)
         references = np.full((len(rows), _REFERENCES), -1)
@@ -191,14 +206,18 @@ class WholeMap:
             one = tuple(array[m] for array in mine)
             chosen = most_overlap(compose(start, group[m]), *(*one, asked, keyframes.poses, *keyframes.arrays))
             references[m, : min(len(chosen), _REFERENCES)] = chosen[:_REFERENCES]
-        pose, hessian, inliers, same, against = lay_group(
-            start, group, *(*mine, references, keyframes.poses, *keyframes.arrays)
-        )
+        against_map = (*mine, references, keyframes.poses, *keyframes.arrays)
+        pose, hessian, inliers = lay_group(start, group, *against_map)
+        # Where few lines hold it, it may have slid away: then it is held too little to be believed.
+        if self._score(query, pose) < self._score(query, start) - _SLID_SCORE:
+            pose, hessian = start, _UNHELD * np.eye(3)
+        same, against, still, gone = judge_group(pose, group, *against_map)
         return Place(
             pose,
             hessian / PAIR_SIGMA_M**2,
             self._score(query, pose),
-            same / max(1, same + 2 * against),
+            (same + still) / max(1, same + still + 2 * (against + gone)),
+            still / max(1, still + gone),
             inliers,
             wall,
         )
@@ -222,7 +241,9 @@ def is_sure(places: list[Place]) -> bool:
         return False
     best = places[0]
     least = np.interp(best.wall, _SURE_WALL_M, _SURE_SCORE)
-    if best.wall < _SURE_WALL_M[0] or best.score < least or best.quality < _SURE_QUALITY:
+    if best.wall < _SURE_WALL_M[0] or best.score < least:
+        return False
+    if best.quality < _SURE_QUALITY or best.standing < _SURE_STANDING:
         return False
     covariance = np.linalg.inv(best.information)
     if np.linalg.eigvalsh(covariance[:2, :2])[1] > _SURE_SIGMA_M**2 or covariance[2, 2] > _SURE_SIGMA_RAD**2:
@@ -309,7 +330,7 @@ def lay_group(  # type: ignore[no-untyped-def]
     """ICP of scans that keep their places (M, 3) in the frame of a pose (3,), from a start of that pose on.
 
     references: (M, R) keyframes that each scan is laid on, -1: none. Returns the pose, the hessian (3, 3) of one
-    keyframe and all scans, the share of inliers, and how many points agree and contradict.
+    keyframe and all scans, and the share of inliers.
     """
     pose = start.copy()
     hessian, one = np.zeros((3, 3)), np.zeros((3, 3))
@@ -343,7 +364,17 @@ def lay_group(  # type: ignore[no-untyped-def]
             hessian[u, u] += 1e-3
         pose -= solve_3x3(hessian, gradient)
         pose[2] = wrap(pose[2])
-    same = against = 0
+    return pose, hessian, inliers / max(1, seen)
+
+
+@numba.njit(cache=True, nogil=True)
+def judge_group(  # type: ignore[no-untyped-def]
+    pose, group, scan_points, scan_normals, scan_kinds, scan_firsts, scan_increments,
+    references, poses, points, normals, kinds, firsts, increments,
+):  # fmt: skip
+    """How many points of scans, laid as by `lay_group`, agree with keyframes, how many contradict them; and back."""
+    memory = room(max(kinds.shape[1], scan_kinds.shape[1]))
+    same = against = still = gone = 0
     for m in range(len(group)):
         at = compose(pose, group[m])
         rows = picked(scan_points[m], scan_normals[m], scan_kinds[m], POINT, 2)
@@ -357,9 +388,9 @@ def lay_group(  # type: ignore[no-untyped-def]
             more, less = agreement(
                 relative(at, poses[k]), back, scan_points[m], scan_kinds[m], scan_firsts[m], scan_increments[m], memory
             )
-            same += more
-            against += less
-    return pose, hessian, inliers / max(1, seen), same, against
+            still += more
+            gone += less
+    return same, against, still, gone
 
 
 @numba.njit(cache=True, nogil=True)

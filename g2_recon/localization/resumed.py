@@ -34,8 +34,8 @@ class ResumedLocalizer(Localizer):
     """A localizer that begins with the map of a session.
 
     What it sees from the first scan on is mapped, in a new segment that lies somewhere. After new keyframes the place
-    of the segment is looked for in the map; once it is sure the segment is moved there. If it is not, mapping goes on
-    until a loop closure ties the segment to the map.
+    of the segment is looked for in the map; once it is sure, the segment is moved there, and loops can tie it to the
+    map. Where it never is, the map stays in two parts that do not know of each other.
     """
 
     def __init__(
@@ -53,6 +53,7 @@ class ResumedLocalizer(Localizer):
         self.resume(self._session, se2.IDENTITY if pose is None else pose)
         self._given = None if pose is None else self._start.copy()
         self._map: WholeMap | None = self._fixed_map()
+        self._loops.apart = len(self._loops.maps)
         self._schedule = Schedule()
         self._placed_by: Place | None = None
 
@@ -68,6 +69,7 @@ class ResumedLocalizer(Localizer):
             self._map = self._fixed_map()
             self._schedule = Schedule()
             self._finish_local_map(fewest=1)
+            self._loops.apart = len(self._loops.maps)
             self._tracker.segment = len(self._keyframes)
             self._last = self._given.copy()
 
@@ -78,11 +80,7 @@ class ResumedLocalizer(Localizer):
 
     def _close_loops(self) -> bool:
         placed = self._map is not None and self._find_place(self._map)
-        moved = super()._close_loops() or placed
-        if self._map is not None and self._loops.ties(self._tracker.segment):
-            _log.info("a loop closure has found the place in the map of the session")
-            self._map = None
-        return moved
+        return super()._close_loops() or placed
 
     def _find_place(self, whole: WholeMap) -> bool:
         """Look for the latest keyframes in the map of the session, and move their segment there."""
@@ -94,7 +92,7 @@ class ResumedLocalizer(Localizer):
             if count - segment == _SAID_AFTER:
                 _log.warning(
                     "the place of the robot in the map of the session is not sure after %d keyframes: mapping goes on "
-                    "in a segment of its own until a loop closure finds it",
+                    "in a segment of its own until it is",
                     _SAID_AFTER,
                 )
             return False
@@ -104,6 +102,7 @@ class ResumedLocalizer(Localizer):
         poses[segment:] = se2.compose(step, poses[segment:])
         self._loops.carry(segment, step)
         self._tracker.moved()
+        self._loops.apart = 0
         self._map = None
         self._placed_by = place
         return True
