@@ -43,6 +43,19 @@ def relative(T_a_b: Float, T_a_c: Float) -> Float:
 
 
 @numba.njit(cache=True, nogil=True)
+def inverse(T_a_b: Float) -> Float:
+    """T_b_a."""
+    return relative(T_a_b, np.zeros(3))
+
+
+@numba.njit(cache=True, nogil=True)
+def carried(covariance: Float, x: float, y: float) -> Float:
+    """Covariance (3, 3) of a pose that is rigidly connected, x, y away, to one with the given covariance (3, 3)."""
+    lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+    return lever @ covariance @ lever.T
+
+
+@numba.njit(cache=True, nogil=True)
 def solve_3x3(A: Float, b: Float) -> Float:
     """X (3,) with A x = b, for a symmetric positive definite A (3, 3), by its Cholesky factors."""
     a = math.sqrt(A[0, 0])
@@ -58,3 +71,15 @@ def solve_3x3(A: Float, b: Float) -> Float:
     x[1] = (v - h * x[2]) / e
     x[0] = (u - d * x[1] - g * x[2]) / a
     return x
+
+
+@numba.njit(cache=True, nogil=True)
+def inverse_3x3(A: Float) -> Float:
+    """The inverse (3, 3) of a symmetric positive definite A (3, 3)."""
+    inverted = np.empty((3, 3))
+    unit = np.zeros(3)
+    for k in range(3):
+        unit[:] = 0.0
+        unit[k] = 1.0
+        inverted[k] = solve_3x3(A, unit)
+    return 0.5 * (inverted + inverted.T)

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from g2_recon.geometry.scan import Scan
 
-Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 INVALID, POINT, SURFACE = 0, 1, 2
@@ -57,43 +56,50 @@ def beams(
 
     twist: (3,) m/s, m/s, rad/s, velocity of the laser in its own frame; it counts where the scan has a time increment.
     """
-    kinds = scan.valid(range_min=range_min, range_max=range_max).astype(np.uint8)
-    bearings = scan.angles()
-    ranges = np.where(kinds != INVALID, scan.ranges, 0.0).astype(float)
-    times = scan.time_increment * np.arange(len(ranges), dtype=float)
-    if upside_down:
-        bearings = -bearings
-    increment = -scan.angle_increment if upside_down else scan.angle_increment
-    if increment < 0:
-        bearings, ranges, kinds, times = bearings[::-1], ranges[::-1], kinds[::-1].copy(), times[::-1]
-    points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
-    if scan.time_increment:
-        points = _deskewed(points, times, np.asarray(twist, float))
-    normals = surface_normals(points, kinds)
-    first = float(bearings[0]) if len(bearings) else 0.0
-    return Beams(points.astype(np.float32), normals.astype(np.float32), kinds, first, abs(increment))
-
-
-def _deskewed(points: Float, times: Float, twist: Float) -> Float:
-    """Points (B, 2), each seen from where a laser with this twist (3,) was at its time (B,), moved to time 0."""
-    turn = twist[2] * times
-    cos, sin = np.cos(turn), np.sin(turn)
-    # The way along an arc: V(turn) * v * t, with V close to a rotation by half the turn.
-    half_cos, half_sin = np.cos(turn / 2), np.sin(turn / 2)
-    x = cos * points[:, 0] - sin * points[:, 1] + times * (half_cos * twist[0] - half_sin * twist[1])
-    y = sin * points[:, 0] + cos * points[:, 1] + times * (half_sin * twist[0] + half_cos * twist[1])
-    return np.column_stack([x, y])
+    valid = scan.valid(range_min=range_min, range_max=range_max)
+    sign = -1.0 if upside_down else 1.0
+    points, kinds = _points(
+        np.asarray(scan.ranges, np.float32), valid, sign * scan.angle_min, sign * scan.angle_increment,
+        scan.time_increment, np.asarray(twist, float),
+    )  # fmt: skip
+    first = sign * scan.angle_min
+    if sign * scan.angle_increment < 0:
+        first += sign * scan.angle_increment * (len(points) - 1)
+    return Beams(points, surface_normals(points, kinds), kinds, first, abs(scan.angle_increment))
 
 
 @numba.njit(cache=True, nogil=True)
-def surface_normals(points: Float, kinds: NDArray[np.uint8]) -> Float:
+def _points(ranges, valid, first, increment, time_increment, twist):  # type: ignore[no-untyped-def]
+    """Points (B, 2) and kinds (B,) of beams with the smallest bearing first.
+
+    Each point is seen from where a laser with this twist (3,) was at the time of its beam, and moved to time 0.
+    """
+    count = len(ranges)
+    points = np.zeros((count, 2), np.float32)
+    kinds = np.zeros(count, np.uint8)
+    for i in range(count):
+        if not valid[i]:
+            continue
+        bearing, time = first + i * increment, i * time_increment
+        turn = twist[2] * time
+        # The way along an arc: V(turn) * v * t, with V close to a rotation by half the turn.
+        cos, sin = math.cos(turn / 2), math.sin(turn / 2)
+        beam = i if increment > 0 else count - 1 - i
+        points[beam, 0] = ranges[i] * math.cos(bearing + turn) + time * (cos * twist[0] - sin * twist[1])
+        points[beam, 1] = ranges[i] * math.sin(bearing + turn) + time * (sin * twist[0] + cos * twist[1])
+        kinds[beam] = POINT
+    return points, kinds
+
+
+@numba.njit(cache=True, nogil=True)
+def surface_normals(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
     """Unit normals (B, 2) of points (B, 2) in order of bearing, towards the laser; zero where there is no surface.
 
     A line is laid through a point and its neighbors (principal axis of their scatter), up to four beams or 8 cm to
     each side, as far as they lie on one surface. `kinds` becomes SURFACE where there is a normal.
     """
     count = len(points)
-    normals = np.zeros((count, 2))
+    normals = np.zeros((count, 2), np.float32)
     surface = np.zeros(count, np.bool_)
     for i in range(count):
         if kinds[i] == INVALID:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +29,7 @@ class Keyframes:
         self._allocate(_FEWEST_ROWS, 1)
 
     def _allocate(self, rows: int, beams: int) -> None:
-        self._poses = np.zeros((rows, 3))
+        self._poses: Float = np.zeros((rows, 3))
         self._points = np.zeros((rows, beams, 2), np.float32)
         self._normals = np.zeros((rows, beams, 2), np.float32)
         self._kinds = np.zeros((rows, beams), np.uint8)
@@ -47,6 +49,12 @@ class Keyframes:
         """Points (N, B, 2), normals (N, B, 2), kinds (N, B), firsts (N,), increments (N,): see Beams."""
         n = self._count
         return self._points[:n], self._normals[:n], self._kinds[:n], self._firsts[:n], self._increments[:n]
+
+    def snapshot(self) -> Keyframes:
+        """The keyframes of now, whose poses stay as they are; their beams take no more memory."""
+        same = copy(self)
+        same._poses = self.poses.copy()
+        return same
 
     def add(self, beams: Beams, pose: Float) -> int:
         """Add a scan with its pose (3,); the index of the new keyframe."""

@@ -68,13 +68,33 @@ def score(grid, points, kinds, pose, x0, y0, resolution):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, nogil=True)
+def widen(grid, reach, wide):  # type: ignore[no-untyped-def]
+    """Fill `wide` with the largest likelihood within +-reach cells of each cell of the grid."""
+    width, height = grid.shape
+    rows = np.empty_like(grid)
+    for x in range(width):
+        rows[x] = grid[x]
+        for other in range(max(0, x - reach), min(width, x + reach + 1)):
+            for y in range(height):
+                rows[x, y] = max(rows[x, y], grid[other, y])
+    wide[:] = rows
+    for x in range(width):
+        for step in range(1, reach + 1):
+            for y in range(height - step):
+                wide[x, y] = max(wide[x, y], rows[x, y + step])
+            for y in range(step, height):
+                wide[x, y] = max(wide[x, y], rows[x, y - step])
+
+
+@numba.njit(cache=True, nogil=True)
 def search(  # type: ignore[no-untyped-def]
-    grid, points, kinds, guess, x0, y0, resolution, turns, turn, shifts, step
+    grid, wide, points, kinds, guess, x0, y0, resolution, turns, turn, shifts, step
 ):
     """The best pose within +-`turns` steps of `turn` (rad) and +-`shifts` cells of a guess, and its score.
 
-    Every `step`-th beam is used. The guess is favored a little: 0.3 % a degree, 2 % a cell. It stays where
-    no point meets the grid.
+    Every `step`-th beam is used. `wide` is the grid widened by `shifts`: a turn whose best shift cannot win is not
+    looked at further. The guess is favored a little: 0.3 % a degree, 2 % a cell. It stays where no point meets the
+    grid.
     """
     best = 0.0
     found = guess.copy()
@@ -82,11 +102,13 @@ def search(  # type: ignore[no-untyped-def]
     xs = np.empty(len(points), np.int64)
     ys = np.empty(len(points), np.int64)
     side = 2 * shifts + 1
-    totals = np.empty((side, side), np.int64)
-    for a in range(-turns, turns + 1):
+    for m in range(2 * turns + 1):
+        # 0, 1, -1, 2, -2, ...
+        a = (m + 1) // 2 * (1 if m % 2 else -1)
         yaw = guess[2] + a * turn
         cos, sin = math.cos(yaw), math.sin(yaw)
         count = inside = 0
+        bound = 0
         for b in range(0, len(points), step):
             if kinds[b] == 0:
                 continue
@@ -96,15 +118,16 @@ def search(  # type: ignore[no-untyped-def]
             if x >= shifts and y >= shifts and x < width - shifts and y < height - shifts:
                 xs[inside], ys[inside] = x, y
                 inside += 1
-        totals[:] = 0
-        for k in range(inside):
-            for u in range(side):
-                for v in range(side):
-                    totals[u, v] += grid[xs[k] + u - shifts, ys[k] + v - shifts]
+                bound += wide[x, y]
+        favor = 1 - 0.003 * abs(a) * math.degrees(turn)
+        if bound / (FULL * max(count, 1)) * favor <= best:
+            continue
         for u in range(side):
             for v in range(side):
-                away = math.hypot(u - shifts, v - shifts)
-                value = totals[u, v] / (FULL * max(count, 1)) * (1 - 0.003 * abs(a) * math.degrees(turn) - 0.02 * away)
+                total = 0
+                for k in range(inside):
+                    total += grid[xs[k] + u - shifts, ys[k] + v - shifts]
+                value = total / (FULL * max(count, 1)) * (favor - 0.02 * math.hypot(u - shifts, v - shifts))
                 if value > best:
                     best = value
                     found[0] = guess[0] + (u - shifts) * resolution

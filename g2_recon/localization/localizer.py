@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +16,7 @@ from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.se2_kernels import compose, relative
+from g2_recon.geometry.se2_kernels import carried, compose, inverse_3x3, relative
 from g2_recon.geometry.session import Session
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
@@ -52,6 +54,18 @@ _BROKEN_SIGMA = np.array([5.0, 5.0, 0.5])
 # Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
 _STANDING_M, _STANDING_RAD = 0.005, 0.004
 
+# Loops are closed beside the tracking and count so many keyframes later, however long that takes: the result is the
+# same on any machine, and no scan waits unless it takes longer.
+_CLOSED_AFTER = 5
+_BACKGROUND = ThreadPoolExecutor(1, "loop closure")
+
+
+class _Closing(NamedTuple):
+    """Loops that are being closed: at how many keyframes they count, and what LoopCloser.handle will answer."""
+
+    due: int
+    moved: Future[Float | None]
+
 
 class Localizer:
     """Tracking, fixed-lag smoothing, loop closures as they come, and refinement at the end."""
@@ -74,7 +88,8 @@ class Localizer:
         self._keyframes = Keyframes()
         self._tracker = Tracker(self._keyframes)
         self._smoother = Smoother(self._keyframes)
-        self._loops = LoopCloser(self._keyframes)
+        self._loops = LoopCloser()
+        self._closing: _Closing | None = None
         self._odometry = OdometrySteps(self._T_base_laser, use=self._config.use_odometry)
         self._start = se2.compose(np.array(pose, float), self._T_base_laser)
         # Of keyframes: stamp, step of the wheels from the one before, way driven until there, track lost
@@ -165,9 +180,9 @@ class Localizer:
         way, turn = math.hypot(moved[0], moved[1]), abs(moved[2])
         if self._lost >= _PATIENCE and surfaces >= FEWEST_SURFACES:
             # Even a lone keyframe: no local map may reach over the break.
-            self._finish_local_map(fewest=1)
+            self._finish_local_map(1)
             self._tracker.segment = len(self._keyframes)
-            self._add_keyframe(seen, placement.pose, _BREAK_WAY_M, broken=True)
+            self._add_keyframe(seen, compose(self._keyframes.poses[-1], moved), _BREAK_WAY_M, broken=True)
             self._lost = 0
             return True
         if not placement.matched or (way < self._config.keyframe_distance and turn < self._config.keyframe_angle):
@@ -192,7 +207,7 @@ class Localizer:
         The place of a keyframe in the map is as unsure as that of the one before, plus a share of its own match, which
         it shares with the keyframes around it. Closed loops, which would make it surer again, are not counted.
         """
-        match = np.asarray(np.linalg.inv(placement.information + _LEAST_INFORMATION * np.eye(3)), float)
+        match = np.asarray(inverse_3x3(placement.information + _LEAST_INFORMATION * np.eye(3)))
         if self._segment_is_empty:
             return match
         if keyframe and len(self._keyframes) > 1:
@@ -203,8 +218,7 @@ class Localizer:
     def _carried(self, covariance: Float, keyframe: int) -> Float:
         """A covariance (3, 3) of a keyframe's pose as that of the present pose, were it rigidly connected."""
         x, y, _ = self._last - self._keyframes.poses[keyframe]
-        lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
-        return np.asarray(lever @ covariance @ lever.T, float)
+        return np.asarray(carried(covariance, x, y))
 
     def _remember(self, stamp: float, seen: Beams, pose: Float, *, keyframe: bool) -> None:
         if self._segment_is_empty:
@@ -223,41 +237,55 @@ class Localizer:
             self._scans.append(None if keyframe else seen)
 
     def _close_loops(self) -> bool:
-        """Where a local map is complete, look for it among the earlier ones; whether the map has moved."""
+        """Where a local map is complete, have it looked for among the earlier ones; whether the map has moved."""
         count = len(self._keyframes)
-        begins = self._ways[self._map_begins] if self._map_begins < count else 0.0
-        if self._ways[-1] - begins < _LOCAL_MAP_M:
+        moved = self._closing is not None and count >= self._closing.due and self._take_loops()
+        first, last = self._map_begins, count - 1
+        if self._ways[last] - self._ways[first] < _LOCAL_MAP_M or last - first < _FEWEST_KEYFRAMES:
+            return moved
+        moved |= self._take_loops()
+        self._map_begins = last
+        arguments = self._keyframes.snapshot(), first, last, self._ways[(first + last) // 2]
+        if self._config.loop_closure:
+            self._closing = _Closing(count + _CLOSED_AFTER, _BACKGROUND.submit(self._loops.handle, *arguments))
+        else:
+            self._loops.add(*arguments)
+        return moved
+
+    def _take_loops(self) -> bool:
+        """Wait for the loops that are being closed and move the map as they say; whether that has moved it."""
+        closing, self._closing = self._closing, None
+        before = None if closing is None else closing.moved.result()
+        if before is None:
             return False
-        new = self._finish_local_map(leave_last=True)
-        if new is None or not self._config.loop_closure:
-            return False
-        before = self._loops.poses.copy()
-        if not self._loops.close(new):
-            return False
-        self._loops.optimize()
         self._follow(before)
         return True
 
-    def _finish_local_map(self, *, leave_last: bool = False, fewest: int = _FEWEST_KEYFRAMES) -> int | None:
-        first, last = self._map_begins, len(self._keyframes) - leave_last
+    def _finish_local_map(self, fewest: int = _FEWEST_KEYFRAMES) -> int | None:
+        """End the present local map with the latest keyframe; its index, or None where it has too few."""
+        self._take_loops()
+        first, last = self._map_begins, len(self._keyframes)
         if last - first < fewest:
             return None
         self._map_begins = last
-        return self._loops.add(first, last, self._ways[(first + last) // 2])
+        return self._loops.add(self._keyframes, first, last, self._ways[(first + last) // 2])
 
     def _follow(self, before: Float) -> None:
         """Move the keyframes as the local maps were moved from their poses (C, 3) before."""
         poses = self._keyframes.poses
-        for c, local in enumerate(self._loops.maps):
-            last = local.last if c + 1 < len(self._loops.maps) else len(poses)
-            step = se2.compose(self._loops.poses[c], se2.inverse(before[c]))
-            poses[local.first : last] = se2.compose(step, poses[local.first : last])
+        steps = se2.compose(self._loops.poses, se2.inverse(before))
+        # Keyframes after the last local map move with it.
+        first = np.array([local.first for local in self._loops.maps])
+        poses[:] = se2.compose(steps[np.searchsorted(first, np.arange(len(poses)), side="right") - 1], poses)
         self._tracker.moved()
 
     def session(self) -> Session:
         """All that it takes to go on in this map another time. Raises InputError where there is no keyframe."""
         if not len(self._keyframes):
             raise InputError("there is no map to save", advice="send scans first")
+        before = self._keyframes.poses[-1].copy()
+        if self._take_loops():
+            self._last = compose(self._keyframes.poses[-1], relative(before, self._last))
         points, normals, kinds, firsts, increments = self._keyframes.arrays
         count = len(self._keyframes)
         begins = [local.first for local in self._loops.maps] + ([self._map_begins] if self._map_begins < count else [])
@@ -285,7 +313,8 @@ class Localizer:
         self._wheel_steps = list(session.wheel_steps)
         self._ways = session.ways.tolist()
         self._broken = session.broken.tolist()
-        self._loops.resume(session.local_maps, session.ways, session.loops, session.loop_information)
+        graph = session.local_maps, session.ways, session.loops, session.loop_information
+        self._loops.resume(self._keyframes.snapshot(), *graph)
         self._map_begins = len(session)
 
     def _take_keyframes(self, session: Session) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, pose_graph
-from g2_recon.localization.beams import SURFACE
+from g2_recon.localization.beams import INVALID, SURFACE
 from g2_recon.localization.branch_and_bound import Pyramid
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.pairing import add_turned, agreements, lay, picked, room
@@ -79,8 +79,8 @@ class LocalMap:
 class LoopCloser:
     """Local maps, the graph of them, and their poses in the map."""
 
-    def __init__(self, keyframes: Keyframes) -> None:
-        self._keyframes = keyframes
+    def __init__(self) -> None:
+        self._keyframes = Keyframes()
         self.maps: list[LocalMap] = []
         self.poses: Float = np.empty((0, 3))
         self._sequence: list[tuple[Float, Float]] = []
@@ -91,11 +91,27 @@ class LoopCloser:
         self.apart = 0
         self.rejected = self.ambiguous = self.tried = 0
 
-    def add(self, first: int, last: int, way: float) -> int:
-        """Close a local map of keyframes whose poses are final relative to each other."""
+    def handle(self, keyframes: Keyframes, first: int, last: int, way: float) -> Float | None:
+        """Add a local map and look for it among the earlier ones; see `add`.
+
+        If that has moved the local maps, their poses (C, 3) before.
+        """
+        new = self.add(keyframes, first, last, way)
+        before = self.poses.copy()
+        if not self.close(new):
+            return None
+        self.optimize()
+        return before
+
+    def add(self, keyframes: Keyframes, first: int, last: int, way: float) -> int:
+        """Add a local map of the keyframes from `first` to before `last`, way m after the start; its index.
+
+        All poses used from now on are those of `keyframes`.
+        """
+        self._keyframes = keyframes
         poses = self._keyframes.poses
         reference = (first + last) // 2
-        query = self._cloud(range(first, last), poses[reference], _QUERY_RANGE_M, _QUERY_CELL_M)
+        query = self._cloud(first, last, poses[reference], _QUERY_RANGE_M, _QUERY_CELL_M)
         order = np.random.default_rng(0).permutation(len(query))
         new = LocalMap(first, last, reference, way, query[order[:_QUERY_POINTS]])
         if self.maps:
@@ -109,11 +125,18 @@ class LoopCloser:
         self.poses = np.vstack([self.poses, poses[reference]])
         return len(self.maps) - 1
 
-    def resume(self, begins: NDArray[np.int64], ways: Float, loops: NDArray[np.int64], information: Float) -> None:
+    def resume(
+        self,
+        keyframes: Keyframes,
+        begins: NDArray[np.int64],
+        ways: Float,
+        loops: NDArray[np.int64],
+        information: Float,
+    ) -> None:
         """Take up the local maps (C,) and loops (L, 2) of a saved session, with all where its keyframes are now."""
-        ends = [*begins[1:].tolist(), len(self._keyframes)]
+        ends = [*begins[1:].tolist(), len(keyframes)]
         for first, last in zip(begins.tolist(), ends, strict=True):
-            self.add(first, last, float(ways[(first + last) // 2]))
+            self.add(keyframes, first, last, float(ways[(first + last) // 2]))
         for (a, b), known in zip(loops.tolist(), information, strict=True):
             self.loops.append((a, b, se2.relative(self.poses[a], self.poses[b]), known.copy()))
 
@@ -132,20 +155,16 @@ class LoopCloser:
         fits = pose_graph.deviations(self.poses, loops) < _KERNEL
         return [loop for loop, credible in zip(self.loops, fits, strict=True) if credible]
 
-    def _cloud(self, keyframes, base, farthest, cell) -> Float:  # type: ignore[no-untyped-def]
+    def _cloud(self, first: int, last: int, base: Float, farthest: float, cell: float) -> Float:
+        """Points (N, 2) of keyframes in the frame of `base` (3,), seen from at most so far (m), one a cell (m)."""
         points, _, kinds, _, _ = self._keyframes.arrays
-        poses = self._keyframes.poses
-        parts = []
-        for k in keyframes:
-            near = (kinds[k] > 0) & (np.hypot(points[k, :, 0], points[k, :, 1]) < farthest)
-            parts.append(se2.transform_points(se2.relative(base, poses[k]), points[k][near]))
-        cloud = np.concatenate(parts) if parts else np.empty((0, 2))
+        cloud = _points_from(first, last, base, farthest, self._keyframes.poses, points, kinds)
         return cloud[first_in_each_cell(cloud, cell)]
 
     def _pyramid(self, c: int) -> Pyramid:
         if c not in self._pyramids:
-            around = range(self.maps[max(0, c - 1)].first, self.maps[min(len(self.maps) - 1, c + 1)].last)
-            cloud = self._cloud(around, self._keyframes.poses[self.maps[c].reference], _MAP_RANGE_M, _MAP_CELL_M)
+            first, last = self.maps[max(0, c - 1)].first, self.maps[min(len(self.maps) - 1, c + 1)].last
+            cloud = self._cloud(first, last, self._keyframes.poses[self.maps[c].reference], _MAP_RANGE_M, _MAP_CELL_M)
             made = branch_and_bound.pyramid(cloud, resolution=_RESOLUTION_M, sigma=_SIGMA_M)
             if c + 1 >= len(self.maps):
                 return made
@@ -301,6 +320,22 @@ class LoopCloser:
         """Solve the graph with all loops doubted alike."""
         if self.loops:
             self.poses, self._cost, _ = self._solved([], trust_last=False, rounds=20)
+
+
+@numba.njit(cache=True, nogil=True)
+def _points_from(first, last, base, farthest, poses, points, kinds):  # type: ignore[no-untyped-def]
+    cloud = np.empty(((last - first) * kinds.shape[1], 2))
+    count = 0
+    for k in range(first, last):
+        at = relative(base, poses[k])
+        cos, sin = math.cos(at[2]), math.sin(at[2])
+        for b in range(kinds.shape[1]):
+            x, y = points[k, b, 0], points[k, b, 1]
+            if kinds[k, b] != INVALID and math.hypot(x, y) < farthest:
+                cloud[count, 0] = at[0] + cos * x - sin * y
+                cloud[count, 1] = at[1] + sin * x + cos * y
+                count += 1
+    return cloud[:count]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -35,7 +35,8 @@ _CONFIRMED_M = 0.3
 # A robot that was lost is back where its way led it if so many keyframes in a row fit as well as this so near.
 _BACK_M, _BACK_RAD, _BACK_SCORE, _BACK_QUALITY, _BACK_KEYFRAMES = 0.5, np.radians(10.0), 0.7, 0.9, 3
 # How unsure things are, m, m, rad: the map itself, a given pose, a doubtful match that is confirmed, a place that is
-# not known, one where track was lost or a match is doubtful. How much is added for a step without a match, and for each metre and radian of it.
+# not known, one where track was lost or a match is doubtful. How much is added for a step without a match, and for each
+# metre and radian of it.
 _MAP_SIGMA = np.array([0.015, 0.015, 0.003])
 _GIVEN_SIGMA = np.array([0.5, 0.5, 0.2])
 _CONFIRMED_SIGMA = np.array([0.1, 0.1, 0.05])

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from g2_recon.geometry import se2
+from g2_recon.geometry.se2_kernels import compose, relative
 
 Float = NDArray[np.float64]
 
@@ -36,9 +38,9 @@ class OdometrySteps:
         self._last, self._stamp = measured, stamp
         if measured is None or last is None:
             return None
-        step = se2.relative(se2.compose(last, self._T_base_laser), se2.compose(measured, self._T_base_laser))
-        moved = se2.relative(last, measured)
-        if np.hypot(moved[0], moved[1]) > _JUMP_M + _FASTEST_M_S * elapsed:
+        step = relative(compose(last, self._T_base_laser), compose(measured, self._T_base_laser))
+        moved = relative(last, measured)
+        if math.hypot(moved[0], moved[1]) > _JUMP_M + _FASTEST_M_S * elapsed:
             self.jumps += 1
             return None
-        return step
+        return np.asarray(step)

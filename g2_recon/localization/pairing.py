@@ -99,8 +99,9 @@ def _squared_distance(points, kinds, beam, x, y, kind):  # type: ignore[no-untyp
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _search(points, kinds, increment, kind, at, where, partners):  # type: ignore[no-untyped-def]
     """For points that were projected into a scan, the nearest of its beams of at least a kind."""
-    count = len(points)
     turn = int(2 * math.pi / increment + 0.5)
+    # A beam that comes a full turn after the first one measures the same place again.
+    count = min(len(points), turn)
     xs, ys, ranges, limits = at[0], at[1], at[2], at[3]
     spacing = _F(_SINE_SHARE * increment)
     for i in range(len(partners)):
@@ -306,7 +307,20 @@ def add_turned(hessian, gradient, yaw, total, pull):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True)
 def lay(  # type: ignore[no-untyped-def]
-    pose, rows, references, poses, points, normals, kinds, firsts, increments, distance, sigma, hessian, gradient, memory
+    pose,
+    rows,
+    references,
+    poses,
+    points,
+    normals,
+    kinds,
+    firsts,
+    increments,
+    distance,
+    sigma,
+    hessian,
+    gradient,
+    memory,
 ):
     """`accumulate` for a scan at a pose (3,) and several keyframes, for a step added to that pose."""
     one, pull = np.zeros((3, 3)), np.zeros(3)
@@ -350,7 +364,20 @@ def match(  # type: ignore[no-untyped-def]
         total[:] = 0.0
         pull[:] = 0.0
         inliers, seen = lay(
-            pose, rows, references, poses, points, normals, kinds, firsts, increments, distance, sigma, total, pull, memory
+            pose,
+            rows,
+            references,
+            poses,
+            points,
+            normals,
+            kinds,
+            firsts,
+            increments,
+            distance,
+            sigma,
+            total,
+            pull,
+            memory,
         )
         total /= count
         pull /= count
@@ -381,9 +408,7 @@ def agreement(T_b_a, rows, points, kinds, first, increment, memory):  # type: ig
     """
     same = against = 0
     turn = int(2 * math.pi / increment + 0.5)
-    found = partners(
-        T_b_a, rows, points, kinds, first, increment, _SAME_PLACE_M, _SAME_PLACE_SHARE, POINT, memory
-    )
+    found = partners(T_b_a, rows, points, kinds, first, increment, _SAME_PLACE_M, _SAME_PLACE_SHARE, POINT, memory)
     at, where, _ = memory
     for i in range(len(found)):
         if found[i] >= 0:

@@ -68,4 +68,5 @@ class PointMap:
 def first_in_each_cell(points: Float, size: float) -> NDArray[np.intp]:
     """Indices, in order, of the first of the points (N, 2) in each square cell of `size` metres."""
     cell = np.floor(points / size).astype(np.int64)
-    return np.sort(np.unique(cell, axis=0, return_index=True)[1])
+    # One number a cell, which sorts much faster than two; it is unique up to 2^31 cells from the origin.
+    return np.sort(np.unique((cell[:, 0] << 32) ^ (cell[:, 1] & 0xFFFFFFFF), return_index=True)[1])

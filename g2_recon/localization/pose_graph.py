@@ -66,6 +66,8 @@ def linearize(poses, first, second, T, hessians, gradients, weights):  # type: i
     pulls = np.empty((count, 6))
     squared = np.empty(count)
     J = np.zeros((3, 6))
+    HJ = np.empty((3, 6))
+    slope = np.empty(3)
     for m in range(count):
         i, j = first[m], second[m]
         now = relative(poses[j], poses[i])
@@ -76,11 +78,18 @@ def linearize(poses, first, second, T, hessians, gradients, weights):  # type: i
         J[0, 3], J[0, 4], J[1, 3], J[1, 4] = -cos, -sin, sin, -cos
         J[0, 5], J[1, 5] = now[1], -now[0]
         J[2, 2], J[2, 5] = 1.0, -1.0
-        slope = hessians[m] @ d
-        squared[m] = d @ slope
-        slope = slope + gradients[m]
-        blocks[m] = weights[m] * (J.T @ hessians[m] @ J)
-        pulls[m] = weights[m] * (J.T @ slope)
+        H = hessians[m]
+        squared[m] = 0.0
+        for u in range(3):
+            slope[u] = H[u, 0] * d[0] + H[u, 1] * d[1] + H[u, 2] * d[2]
+            squared[m] += d[u] * slope[u]
+            slope[u] += gradients[m, u]
+            for v in range(6):
+                HJ[u, v] = weights[m] * (H[u, 0] * J[0, v] + H[u, 1] * J[1, v] + H[u, 2] * J[2, v])
+        for u in range(6):
+            pulls[m, u] = weights[m] * (J[0, u] * slope[0] + J[1, u] * slope[1] + J[2, u] * slope[2])
+            for v in range(6):
+                blocks[m, u, v] = J[0, u] * HJ[0, v] + J[1, u] * HJ[1, v] + J[2, u] * HJ[2, v]
     return blocks, pulls, squared
 
 

@@ -50,10 +50,11 @@ _DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.3, 0.12), (0.1, 0.045), 12
 # Before, the best place is looked for between the cells; after, it must not score less by this.
 _TURN, _CLIMBS, _SLID_SCORE, _UNHELD = 2 * math.pi / _TURNS, 4, 0.02, 1e-3
 
-# A place is sure with at least these, as walls do not go away, if no other one has more than this share of its value, within so much sigma.
+# A place is sure with at least these, as walls do not go away, if no other one has more than this share of its value,
+# within so much sigma.
 _SURE_QUALITY, _SURE_STANDING, _SURE_SHARE = 0.9, 0.97, 0.9
 # Much that fits for the most part is as good as little that fits well: m of wall, and the score that goes with it.
-_SURE_WALL_M, _SURE_SCORE = (8.0, 16.0, 40.0), (0.92, 0.88, 0.75)
+_SURE_WALL_M, _SURE_SCORE = (8.0, 16.0, 40.0), (0.92, 0.9, 0.85)
 _SURE_SIGMA_M, _SURE_SIGMA_RAD = 0.05, 0.02
 # Nearer than this, places are the same.
 _SAME_M, _SAME_RAD = 0.1, 0.05
@@ -188,16 +189,9 @@ class WholeMap:
         """The place near a start (3,) where the scans fit best."""
         keyframes = self._keyframes
         group = se2.relative(scans.poses[rows[-1]], scans.poses[rows])
-        start = likelihood.climb(
-            self._levels[0],
-            query,
-            np.ones(len(query), np.uint8),
-            start,
-            *self._corner,
-            self._resolution,
-            _TURN,
-            _CLIMBS,
-        )
+        everywhere = np.ones(len(query), np.uint8)
+        x, y = self._corner
+        start = likelihood.climb(self._levels[0], query, everywhere, start, x, y, self._resolution, _TURN, _CLIMBS)
         start[2] = wrap(start[2])
         asked = self._around(start)
         mine = tuple(array[rows] for array in scans.arrays)

@@ -14,7 +14,6 @@ from g2_recon.geometry import se2
 from g2_recon.geometry.session import Session
 from g2_recon.localization.beams import Beams
 from g2_recon.localization.collecting import latest
-from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.relocalization import GIVEN_M, GIVEN_RAD, Place, Schedule, WholeMap, fits_as_given
 from g2_recon.localization.tracking import Placement
@@ -52,23 +51,18 @@ class ResumedLocalizer(Localizer):
         """Start again with the map of the session, with the robot near `pose` (3,), if given, and then anywhere."""
         self.resume(self._session, se2.IDENTITY if pose is None else pose)
         self._given = None if pose is None else self._start.copy()
-        self._map: WholeMap | None = self._fixed_map()
+        self._map: WholeMap | None = WholeMap(self._keyframes.snapshot())
         self._loops.apart = len(self._loops.maps)
         self._schedule = Schedule()
         self._placed_by: Place | None = None
-
-    def _fixed_map(self) -> WholeMap:
-        fixed = Keyframes()
-        fixed.fill(self._keyframes.poses, self._keyframes.arrays)
-        return WholeMap(fixed)
 
     def set_pose(self, pose: ArrayLike) -> None:
         """The robot is near `pose` (3,), T_map_base, as somebody says: a new segment begins there."""
         self._given = se2.compose(np.asarray(pose, float), self._T_base_laser)
         if self._map is None:
-            self._map = self._fixed_map()
+            self._map = WholeMap(self._keyframes.snapshot())
             self._schedule = Schedule()
-            self._finish_local_map(fewest=1)
+            self._finish_local_map(1)
             self._loops.apart = len(self._loops.maps)
             self._tracker.segment = len(self._keyframes)
             self._last = self._given.copy()
@@ -97,6 +91,8 @@ class ResumedLocalizer(Localizer):
                 )
             return False
         _log.info("the place is found: x %.2f m, y %.2f m, yaw %.2f rad", *place.pose)
+        # Loops that are being closed move the poses, too.
+        self._take_loops()
         poses = self._keyframes.poses
         step = se2.compose(place.pose, se2.inverse(poses[-1]))
         poses[segment:] = se2.compose(step, poses[segment:])

@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +83,7 @@ class Tracker:
         self._keyframes = keyframes
         self.segment = 0
         self._grid = np.zeros((_GRID_CELLS, _GRID_CELLS), np.uint8)
+        self._wide = np.zeros_like(self._grid)
         self._bell = likelihood.bell(_RESOLUTION_M, _SIGMA_M)
         self._corner: Float = np.zeros(2)
         self._drawn = False
@@ -129,7 +131,7 @@ class Tracker:
         if placement.quality > _GOOD or placement.quality < _FAIR:
             return placement.quality > _GOOD
         settled = len(self._qualities) == _MEMORY
-        return settled and bool(placement.quality > np.median(self._qualities) - _AS_BEFORE)
+        return settled and bool(placement.quality > median(self._qualities) - _AS_BEFORE)
 
     def _predictions(self, step: Float | None) -> Iterator[tuple[Float, Float]]:
         """Steps (3,) since the last scan with their sigma (3,), the likeliest first."""
@@ -186,7 +188,7 @@ class Tracker:
         used = max(1, np.count_nonzero(beams.kinds != INVALID) // _SEARCH_BEAMS)
         x, y = self._corner
         start = likelihood.search(
-            self._grid, beams.points, beams.kinds, guess, x, y, _RESOLUTION_M, _TURNS, _TURN, _SHIFTS, used
+            self._grid, self._wide, beams.points, beams.kinds, guess, x, y, _RESOLUTION_M, _TURNS, _TURN, _SHIFTS, used
         )[0]
         if sigma is not None:
             return self._lay(beams, start, sigma, guess)
@@ -204,6 +206,7 @@ class Tracker:
         x, y = self._corner
         for k in range(max(self.segment, count - _DRAWN), count):
             likelihood.splat(self._grid, points[k], kinds[k], poses[k], x, y, _RESOLUTION_M, self._bell)
+        likelihood.widen(self._grid, _SHIFTS, self._wide)
         self._drawn = True
 
 

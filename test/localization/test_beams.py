@@ -54,7 +54,7 @@ def test_what_is_no_measurement_is_invalid_and_at_the_laser(scan_of_room, nothin
 
 def test_a_scan_without_beams_is_no_beams():
     seen = beams(Scan(0.0, np.empty(0, np.float32), -1.0, 0.01), **LIMITS)
-    assert (len(seen.points), len(seen.normals), len(seen.kinds), seen.first) == (0, 0, 0, 0.0)
+    assert (len(seen.points), len(seen.normals), len(seen.kinds), seen.first) == (0, 0, 0, -1.0)
 
 
 def test_normals_are_those_of_the_walls_and_point_to_the_laser(scan_of_room):

@@ -9,7 +9,8 @@ from g2_recon.localization.keyframes import Keyframes
 def some_beams(count, seed):
     rng = np.random.default_rng(seed)
     kinds = rng.integers(0, 3, count).astype(np.uint8)
-    return Beams(rng.normal(size=(count, 2)), rng.normal(size=(count, 2)), kinds, rng.normal(), rng.uniform(0.01, 0.1))
+    points, normals = rng.normal(size=(2, count, 2)).astype(np.float32)
+    return Beams(points, normals, kinds, rng.normal(), rng.uniform(0.01, 0.1))
 
 
 def test_keyframes_keep_what_was_added_while_they_grow_in_number_and_in_width():
@@ -35,3 +36,17 @@ def test_poses_can_be_improved_in_place():
     keyframes.poses[:] = 7.0
     keyframes.add(some_beams(9, 1), np.ones(3))
     assert keyframes.poses.tolist() == [[7, 7, 7], [1, 1, 1]]
+
+
+def test_a_snapshot_stays_as_it_is_while_the_keyframes_move_and_grow():
+    keyframes = Keyframes()
+    for i in range(3):
+        keyframes.add(some_beams(5, i), np.full(3, float(i)))
+    snapshot = keyframes.snapshot()
+    points = snapshot.arrays[0].tolist()
+    keyframes.poses[:] = 7.0
+    for i in range(600):
+        keyframes.add(some_beams(9, i), np.zeros(3))
+    assert len(snapshot) == 3
+    assert snapshot.poses.tolist() == [[0] * 3, [1] * 3, [2] * 3]
+    assert snapshot.arrays[0].tolist() == points

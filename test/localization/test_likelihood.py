@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter
 
 from g2_recon.geometry import se2
 from g2_recon.localization import likelihood
@@ -65,9 +66,19 @@ def test_the_score_is_the_mean_likelihood_of_the_points(scan_of_room):
 
 
 def search(grid, b, guess, turns=6, shifts=2, step=1):
+    wide = np.empty_like(grid)
+    likelihood.widen(grid, shifts, wide)
     return likelihood.search(
-        grid, b.points, b.kinds, np.array(guess, float), *CORNER, RESOLUTION, turns, TURN, shifts, step
+        grid, wide, b.points, b.kinds, np.array(guess, float), *CORNER, RESOLUTION, turns, TURN, shifts, step
     )
+
+
+@pytest.mark.parametrize("reach", [0, 1, 2])
+def test_a_widened_grid_has_the_largest_likelihood_around_each_cell(reach):
+    grid = np.random.default_rng(0).integers(0, 256, (17, 23)).astype(np.uint8)
+    wide = np.empty_like(grid)
+    likelihood.widen(grid, reach, wide)
+    assert wide.tolist() == maximum_filter(grid, 2 * reach + 1, mode="constant").tolist()
 
 
 @pytest.mark.parametrize("step", [1, 3])

@@ -64,11 +64,11 @@ def test_poses_before_a_new_segment_stay(scan_of_room):
 def test_only_the_window_is_kept(scan_of_room):
     there = np.vstack([TRUTH, TRUTH[::-1]])
     _, smoother = smooth(scan_of_room, there, steps(there), beams=61)
-    assert min(smoother._edges) == min(smoother._wheels) == 59 - 33
-    assert len(smoother._edges) == len(smoother._wheels) == 34
+    assert min(smoother._scans) == min(smoother._wheels) == 59 - 33
+    assert len(smoother._scans) == len(smoother._wheels) == 34
 
 
 def test_a_lone_keyframe_stays(scan_of_room):
     poses, smoother = smooth(scan_of_room, TRUTH[:1], steps(TRUTH))
     assert poses.tolist() == TRUTH[:1].tolist()
-    assert not smoother._edges
+    assert not smoother._scans

@@ -134,8 +134,8 @@ def test_what_claims_more_than_a_session_may_have_takes_no_memory(saved, tmp_pat
     monkeypatch.setattr(sessions, "MOST_BYTES", 100_000)
     arrays = {name: np.zeros((200, 30, *shape), kind) for name, kind, shape in (
         ("points", np.float32, (2,)), ("normals", np.float32, (2,)), ("kinds", np.uint8, ()))}  # fmt: skip
-    rest = {name: np.zeros((200, *shape)) for name, shape in (
-        ("stamps", ()), ("poses", (3,)), ("firsts", ()), ("increments", ()), ("ways", ()), ("wheel_steps", (3,)))}  # fmt: skip
+    rest = {name: np.zeros(200) for name in ("stamps", "firsts", "increments", "ways")}
+    rest |= {name: np.zeros((200, 3)) for name in ("poses", "wheel_steps")}
     np.savez_compressed(tmp_path / "big.npz", session_version=np.array([1]), broken=np.zeros(200, bool),
                         local_maps=np.array([0]), loops=np.zeros((0, 2), int), loop_information=np.zeros((0, 3, 3)),
                         **arrays, **rest)  # fmt: skip
