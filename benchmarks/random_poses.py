@@ -87,7 +87,7 @@ class Floor:
             room = self._distances(poses[-1][:2], headings)
             wide = np.min([np.roll(room, shift) for shift in range(-4, 5)], axis=0)
             turn = float(se2.wrap_angle(headings[np.argmax(wide)] - poses[-1][2]))
-            parts = math.ceil(abs(turn) / TURN)
+            parts = max(1, math.ceil(abs(turn) / TURN))
             steps = [[0, 0, turn / parts]] * parts
             steps += [[STEP_M, 0, 0]] * int(max(0.0, min(LONGEST_LEG_M, wide.max() - 0.6)) / STEP_M)
             for step in steps:
