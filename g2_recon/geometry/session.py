@@ -20,7 +20,11 @@ Int = NDArray[np.int64]
 FARTHEST_M = 1e5
 """What lies farther from the origin of its map, or is a longer range of a beam, is no building."""
 
+FINEST_RAD = 1e-4
+"""No laser has its beams nearer to each other, a tenth of what fine ones have."""
+
 LONGEST_WAY_M = 1e9
+"""No robot has driven farther."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +92,9 @@ class Session:
         _within("ways", self.ways, LONGEST_WAY_M)
         known = ~np.isnan(self.wheel_steps)
         _within("wheel_steps", self.wheel_steps[known], FARTHEST_M)
-        # The bearing of a beam tells its index: none comes twice in a turn.
-        if not ((self.increments > 1e-6) & (self.increments <= 2 * math.pi)).all():
-            raise InputError("increments of a session are angles from 1e-6 to 2 pi", advice=_ADVICE)
+        # The bearing of a beam tells its index, and partners are looked for in steps of it.
+        if not ((self.increments >= FINEST_RAD) & (self.increments <= 2 * math.pi)).all():
+            raise InputError(f"increments of a session are angles from {FINEST_RAD:g} to 2 pi", advice=_ADVICE)
         if self.kinds.max(initial=0) > 2:
             raise InputError("kinds of a session go from 0 to 2", advice=_ADVICE)
         if (np.diff(self.ways) < 0).any():
