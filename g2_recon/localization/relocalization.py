@@ -53,8 +53,8 @@ _TURN, _CLIMBS, _SLID_SCORE, _UNHELD = 2 * math.pi / _TURNS, 4, 0.02, 1e-3
 # A place is sure with at least these, as walls do not go away, if no other one has more than this share of its value,
 # within so much sigma.
 _SURE_QUALITY, _SURE_STANDING, _SURE_SHARE = 0.9, 0.97, 0.9
-# Much that fits for the most part is as good as little that fits well: m of wall, and the score that goes with it.
-_SURE_WALL_M, _SURE_SCORE = (8.0, 16.0, 40.0), (0.92, 0.9, 0.85)
+# Much that fits for the most part is as good as little that fits well: m of wall, and the value that goes with it.
+_SURE_WALL_M, _SURE_VALUE = (8.0, 16.0, 40.0), (0.88, 0.84, 0.8)
 _SURE_SIGMA_M, _SURE_SIGMA_RAD = 0.05, 0.02
 # Nearer than this, places are the same.
 _SAME_M, _SAME_RAD = 0.1, 0.05
@@ -234,8 +234,8 @@ def is_sure(places: list[Place]) -> bool:
     if not places:
         return False
     best = places[0]
-    least = np.interp(best.wall, _SURE_WALL_M, _SURE_SCORE)
-    if best.wall < _SURE_WALL_M[0] or best.score < least:
+    least = np.interp(best.wall, _SURE_WALL_M, _SURE_VALUE)
+    if best.wall < _SURE_WALL_M[0] or best.value < least:
         return False
     if best.quality < _SURE_QUALITY or best.standing < _SURE_STANDING:
         return False
