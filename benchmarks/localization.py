@@ -26,8 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import random_poses
 import report
 from numpy.typing import NDArray
+from random_poses import Search
 from report import Row, Table
 
 from g2_recon import pictures, pipeline
@@ -110,6 +112,17 @@ The recording in bags/, 100 m through a simulated floor with corridors, beside i
 the truth, of the trajectory after the end and of the causal one; end: error of the last pose as seen from the first;
 inside: share of the causal poses whose 95 % ellipse, by the covariance that came with each, holds the truth; sigma:
 median along the longer axis of the ellipse."""
+
+# A place is right within this.
+RIGHT_M, RIGHT_DEG = 0.1, 2.0
+SEARCHES, BOXES, MAPPED_SHARE = 200, 15, 0.6
+RELOCALIZATION_NOTE = f"""\
+A simulated robot is put down at random on the floor of the recording in bags/, with the saved map of that recording and
+no idea of its pose. It turns once around on the spot and then drives twice to where there is most room, 3 m at most,
+until the place is sure. right: within {RIGHT_M:g} m and {RIGHT_DEG:g} deg of the truth; wrong: sure, but not right; at
+once: right from a single scan of 180 deg and 8 m; slowest: longest time for one scan. {BOXES} new boxes: so many of the
+size of people stand around that are not in the map; partly mapped: the map is that of the first {MAPPED_SHARE:.0%} of
+the drive, and robots are also put down where it has never been, which they cannot know."""
 
 # --quick: so many scans, draws and pairs.
 QUICK_SCANS, QUICK_DRAWS, QUICK_PAIRS = 300, 1, 20
@@ -687,6 +700,48 @@ def simulation_of(found: Followed) -> Row:
     }
 
 
+def table_relocalization(bench: Bench) -> Table:
+    """Global localization in a saved map."""
+    count = QUICK_PAIRS if bench.quick else SEARCHES
+    cases = {
+        "the floor": (1.0, 0),
+        f"{BOXES} new boxes": (1.0, BOXES),
+        "partly mapped": (MAPPED_SHARE, 0),
+    }
+    found = apart(put_down, [(bench.job(BUNDLED), *case, count) for case in cases.values()], bench.jobs)
+    rows = [
+        {"map": name} | (relocalization_of(result) if isinstance(result, list) else {"poses": result})
+        for name, result in zip(cases, found, strict=True)
+    ]
+    return Table("Relocalization", RELOCALIZATION_NOTE, {"": rows})
+
+
+def put_down(job: Job, share: float, boxes: int, count: int) -> list[Search]:
+    """Robots in the map of a share of a recording."""
+    recording = job.recording()
+    mapped = pipeline.localize(kept(recording, slice(int(share * len(recording.scans)))), job.settings)
+    assert mapped.session is not None
+    return random_poses.searches(mapped.session, job.settings, count, boxes=boxes)
+
+
+def relocalization_of(found: Sequence[Search]) -> Row:
+    """The columns about robots that were put down."""
+    sure = np.array([not math.isnan(one.metres) for one in found])
+    right = np.array([one.metres <= RIGHT_M and one.degrees <= RIGHT_DEG for one in found])
+    at_once = right & np.array([one.scans == 0 for one in found])
+    errors = [one.metres for one in found if not math.isnan(one.metres)]
+    return {
+        "poses": len(found),
+        "right, %": f"{100 * right.mean():.1f}",
+        "wrong, %": f"{100 * np.mean(sure & ~right):.1f}",
+        "not sure, %": f"{100 * np.mean(~sure):.1f}",
+        "at once, %": f"{100 * at_once.mean():.1f}",
+        "scans, median": f"{np.median([one.scans + 1 for one in found]):.0f}",
+        "median error, cm": f"{100 * np.median(errors):.1f}" if errors else "",
+        "slowest, s": f"{max(one.slowest for one in found):.2f}",
+    }
+
+
 def table_maps(bench: Bench) -> Table:
     """Floor plans."""
     logs = [(entry.name, file) for entry, file, _ in bench.present()] or [("first_floor", BUNDLED)]
@@ -717,6 +772,7 @@ TABLES: dict[str, Callable[[Bench], Table | None]] = {
     "speed": table_speed,
     "pairs": table_pairs,
     "simulation": table_simulation,
+    "relocalization": table_relocalization,
     "maps": table_maps,
 }
 

@@ -41,6 +41,7 @@ from g2_recon.recording.files import write_text
 from g2_recon.recording.meshes import MESH_ENDINGS, read_mesh, write_mesh, write_wire_mesh
 from g2_recon.recording.occupancy_maps import write_map
 from g2_recon.recording.recordings import read_recording
+from g2_recon.recording.sessions import write_session
 from g2_recon.recording.surfaces import read_true_surface, write_true_surface
 from g2_recon.recording.trajectories import read_tum, write_tum
 from g2_recon.simulation.simulator import simulate
@@ -101,8 +102,11 @@ def run_recording(options: argparse.Namespace, console: Console) -> None:
     settings = config.load(options.config) if options.config else G2ReconConfig()
     folder = options.output or Path("out") / _stem(options.recording)
     settings = _overridden(settings, options)
-    # No other name in the folder can be that of settings or of a recording.
-    _check_files([folder / "config.yaml", folder / "map.yaml"], inputs=[options.config])
+    # No other name in the folder can be that of settings, of a session or of a recording.
+    session = Path(settings.localization.map).expanduser() if settings.localization.map else None
+    _check_files(
+        [folder / "config.yaml", folder / "map.yaml", folder / "session.npz"], inputs=[options.config, session]
+    )
     _run(options.recording, folder, settings, console)
 
 
@@ -126,7 +130,11 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
     topics = _made(RecordingConfig, _given(options, "recording"), options)
     target = options.output or Path(f"{_stem(options.recording)}.tum")
     plan, grid = target.with_suffix(".png"), target.with_suffix(".yaml")
-    _check_files([target, plan, grid, grid.with_suffix(".pgm")], inputs=[options.recording, options.relations])
+    session = [] if options.session is None else [options.session]
+    before = Path(settings.map).expanduser() if settings.map else None
+    _check_files(
+        [target, plan, grid, grid.with_suffix(".pgm"), *session], inputs=[options.recording, options.relations, before]
+    )
     # Settings of a robot may have the name of its recordings.
     if grid.exists() and not re.search(rb"^image:", grid.read_bytes(), re.MULTILINE):
         raise InputError("exists and is no map", where=grid, advice="choose another name with --output")
@@ -137,6 +145,10 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
         write_tum(target, result.trajectory)
         if result.grid is not None:
             write_map(grid, result.grid)
+        if options.session is not None:
+            if result.session is None:
+                raise InputError("method paper has no session", where=options.session, advice="use --method graph")
+            write_session(options.session, result.session)
         pictures.draw_floor_plan(plan, result.point_map, result.trajectory, result.grid)
         progress("writing", 1, 1)
     rows: dict[str, Any] = {
@@ -152,7 +164,8 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
         rows |= _relations_rows(score_relations(relations, result.trajectory))
     print_table("localized", rows, progress, console)
     maps = {} if result.grid is None else {"map": grid}
-    print_paths({"trajectory": target, **maps, "floor plan": plan}, console)
+    sessions = {} if options.session is None else {"session": options.session}
+    print_paths({"trajectory": target, **maps, "floor plan": plan, **sessions}, console)
 
 
 def run_reconstruct(options: argparse.Namespace, console: Console) -> None:
@@ -415,6 +428,9 @@ def build_parser() -> argparse.ArgumentParser:
     localize.add_argument("recording", metavar="LOG", type=Path, help="CARMEN log (.log .clf, also .gz .bz2) or bag")
     localize.add_argument(
         "-o", "--output", metavar="TUM", type=Path, help="default: NAME.tum; map and floor plan beside it"
+    )
+    localize.add_argument(
+        "--session", metavar="FILE", type=Path, help="also write the map as a session (.npz) to go on from with --map"
     )
     localize.add_argument("--relations", metavar="FILE", type=Path, help="score the trajectory by true relations")
     _add_settings(localize, LocalizationConfig, "localization")

@@ -71,6 +71,13 @@ class LocalizationConfig(_Model):
     method: Literal["graph", "paper"] = _setting(
         "graph", "graph: smoothing, loop closures, refinement; paper: ICP of each scan against a global point map"
     )
+    mode: Literal["mapping", "localization"] = _setting(
+        "mapping",
+        "mapping: the map grows, from nothing or from a loaded one; localization: the loaded map stays as it is",
+    )
+    map: str = _setting(
+        "", "method graph: file of a saved session to go on in; the place in it is looked for; empty: a new map"
+    )
     loop_closure: bool = _setting(True, "method graph: recognize places and correct the drift since then")
     use_odometry: bool = _setting(
         True, "take wheel odometry as the first guess where there is some; else constant velocity"
@@ -106,6 +113,10 @@ class LocalizationConfig(_Model):
             raise ValueError("min_range must be smaller than max_range")
         if self.min_correspondence > self.max_correspondence:
             raise ValueError("min_correspondence must not be larger than max_correspondence")
+        if self.mode == "localization" and not self.map:
+            raise ValueError("mode localization needs a map")
+        if self.method == "paper" and self.map:
+            raise ValueError("method paper cannot go on in a map")
         return self
 
 

@@ -22,8 +22,10 @@ from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.recording import Recording
 from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.session import Session
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization.keyframe_grid import KeyframeGrid
+from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.methods import make_localizer
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.reconstructor import Reconstruction, reconstruct
@@ -31,6 +33,7 @@ from g2_recon.recording.clouds import write_cloud
 from g2_recon.recording.files import write_text
 from g2_recon.recording.meshes import write_mesh, write_wire_mesh
 from g2_recon.recording.occupancy_maps import write_map
+from g2_recon.recording.sessions import read_session, write_session
 from g2_recon.recording.trajectories import write_tum
 from g2_recon.registration.registrar import Registrar
 
@@ -47,7 +50,8 @@ class Localization:
     """trajectory: T_map_base of each horizontal scan, as known at the end; causal: as known when the scan came.
 
     point_map: (N, 2). grid: the occupancy grid, None where none could be made. keyframes, unmatched: how many scans.
-    loops: how many were closed. odometry_jumps: between how many scans odometry was not believed.
+    loops: how many were closed. odometry_jumps: between how many scans odometry was not believed. session: what it
+    takes to go on in the map, None where the method has no such thing.
     """
 
     trajectory: Trajectory
@@ -58,6 +62,7 @@ class Localization:
     unmatched: int
     loops: int
     odometry_jumps: int
+    session: Session | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,14 +96,18 @@ def run(recording: Recording, settings: G2ReconConfig, *, progress: Progress = s
 def localize(recording: Recording, settings: LocalizationConfig, *, progress: Progress = silent) -> Localization:
     """The trajectory of the robot from its horizontal scans, and from its odometry where there is some.
 
-    Raises InputError where no scan can be used; a trajectory that many scans do not fit is logged as doubtful.
+    Raises InputError where no scan can be used, or the map to go on in cannot be read or is too large; a trajectory
+    that many scans do not fit is logged as doubtful.
     """
     if not recording.scans:
         raise InputError("the recording holds no scan of a horizontal laser", advice="name its topic with scan_topic")
     T_base_laser = mounting_pose("localization", settings.laser_pose, recording.T_base_laser)
-    localizer = make_localizer(settings, T_base_laser, keep_scans=True)
+    session = read_session(Path(settings.map).expanduser()) if settings.map else None
+    localizer = make_localizer(settings, T_base_laser, keep_scans=True, session=session)
     odometry = odometry_at_scans(recording)
     grid = KeyframeGrid(settings, T_base_laser)
+    if session is not None:
+        grid.add_session(session)
     for index, scan in enumerate(recording.scans):
         if localizer.process(scan, odometry[index]).keyframe:
             grid.add(scan)
@@ -127,6 +136,7 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
         localizer.unmatched,
         localizer.loops,
         localizer.odometry_jumps,
+        localizer.session() if isinstance(localizer, Localizer) else None,
     )
 
 
@@ -255,6 +265,7 @@ def write_run(
         lambda: write_mesh(folder / "mesh.ply", result.reconstruction.mesh),
         lambda: write_mesh(folder / "mesh.glb", result.reconstruction.mesh),
         lambda: None if grid is None else write_map(folder / "map.yaml", grid),
+        lambda: None if localization.session is None else write_session(folder / "session.npz", localization.session),
         lambda: pictures.draw_floor_plan(
             folder / "floor_plan.png", localization.point_map, localization.trajectory, grid
         ),

@@ -11,6 +11,8 @@ from g2_recon.evaluation.surface import score_surface
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.geometry.scan import Scan
+from g2_recon.localization.localizer import Localizer
+from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import make_localizer
 from g2_recon.localization.occupancy import GridBuilder
 from g2_recon.reconstruction.reconstructor import reconstruct
@@ -51,6 +53,13 @@ def _drive_up_and_down(config: LocalizationConfig) -> None:
     localizer.finish()
     localizer.point_map()
     grid.grid()
+    if isinstance(localizer, Localizer):
+        in_map = MapLocalizer(config, np.eye(4), localizer.session())
+        for _ in range(2):
+            in_map.process(scan)
+        in_map.reset(localizer.trajectory().planar()[-1])
+        for _ in range(2):
+            in_map.process(scan)
 
 
 def _corner_of_a_room(*, with_sensor: bool) -> Cloud:

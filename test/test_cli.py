@@ -108,6 +108,19 @@ def test_localize_writes_a_pose_a_scan_a_map_and_a_floor_plan(tmp_path):
     assert read_map(tmp_path / "way.yaml").resolution == 0.05
 
 
+def test_localize_goes_on_in_a_session_that_it_has_written(tmp_path, capsys):
+    recording, session = str(bundled_recording()), tmp_path / "session.npz"
+    assert main(["localize", recording, "-o", str(tmp_path / "a.tum"), "--session", str(session)]) == 0
+    in_map = ["--map", str(session), "--mode", "localization"]
+    assert main(["localize", recording, "-o", str(tmp_path / "b.tum"), *in_map]) == 0
+    before, again = read_tum(tmp_path / "a.tum"), read_tum(tmp_path / "b.tum")
+    off = np.hypot(*(before.positions - again.positions)[:, :2].T)
+    # 2 cm; where it stands at the start it does not know its place.
+    assert np.mean(off < 0.02) > 0.95
+    assert main(["localize", recording, "-o", str(tmp_path / "c.tum"), *in_map, "--session", str(session)]) == 1
+    assert "would replace what is read" in capsys.readouterr().err
+
+
 @needs(DATA / "carmen" / "aces.clf.bz2")
 def test_aces_is_localized_better_than_published_scan_matching(tmp_path, capsys):
     log, relations = DATA / "carmen" / "aces.clf.bz2", DATA / "relations" / "aces.relations"

@@ -63,6 +63,8 @@ def test_an_empty_file_means_defaults(tmp_path):
         ("- a list\n", "settings"),
         ("a: b: c\n", "YAML"),
         ("1: 2\n", "settings"),
+        ("localization:\n  mode: localization\n", "mode localization needs a map"),
+        ("localization:\n  method: paper\n  map: session.npz\n", "method paper cannot go on in a map"),
         ("localization:\n  max_range: 2020-13-45\n", "month"),
         ("localization:\n  max_range: " + "1" * 5000, "digits"),
         ("localization:\n  laser_pose: 0x" + "f" * 5000, "laser_pose"),

@@ -19,6 +19,7 @@ Grid = NDArray[np.uint8]
 _LEVELS = 5
 _MARGIN_M = 2.0
 _MOST_VISITED = 400_000
+_MOST_LEVELS, _MOST_VISITED_PLACES = 8, 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,13 @@ def _fill(levels, points, corner, resolution, sigma):  # type: ignore[no-untyped
                 value = int(FULL * math.exp(-0.5 * squared / sigma**2))
                 if value > levels[0, a, b]:
                     levels[0, a, b] = value
+    raise_maxima(levels)
+
+
+@numba.njit(cache=True, nogil=True)
+def raise_maxima(levels):  # type: ignore[no-untyped-def]
+    """Make each level (L, W, H) the maximum of level 0 over 2^l x 2^l cells from each cell on."""
+    _, width, height = levels.shape
     for level in range(1, len(levels)):
         half = 1 << (level - 1)
         for a in range(width):
@@ -158,6 +166,139 @@ def find(levels, corner, resolution, points, guess, window, turns, least):  # ty
     found[1] += best_y * resolution
     found[2] += turns[best_turn]
     return found, best / (FULL * count)
+
+
+@numba.njit(cache=True, nogil=True)
+def find_places(  # type: ignore[no-untyped-def]
+    levels, free, corner, resolution, points, turns, least, share, near, most
+):
+    """Of poses of points (N, 2) all over the map, those that score best and are no neighbors of each other.
+
+    free: (L, W, H) whether a block of the level from each cell on holds a place where the origin of the points may be.
+    turns: (A,) rad, evenly over a full turn. Poses that score below `least`, or below `share` of the best, are of no
+    interest. near: (2,) cells and turns within which only the best counts. Returns poses (K, 3) and scores (K,) of at
+    most `most`, the best first, and whether all was searched.
+    """
+    top = len(levels) - 1
+    size = 1 << top
+    count = len(points)
+    _, width, height = levels.shape
+    wide, high = (width + size - 1) // size, (height + size - 1) // size
+    xs = np.empty((len(turns), count), np.int64)
+    ys = np.empty((len(turns), count), np.int64)
+    floor = int(least * FULL * count)
+    bounds = np.empty(len(turns) * wide * high, np.int64)
+    blocks = np.empty(len(bounds), np.int64)
+    m = 0
+    for a in range(len(turns)):
+        cos, sin = math.cos(turns[a]), math.sin(turns[a])
+        for k in range(count):
+            xs[a, k] = math.floor((cos * points[k, 0] - sin * points[k, 1]) / resolution)
+            ys[a, k] = math.floor((sin * points[k, 0] + cos * points[k, 1]) / resolution)
+        for u in range(wide):
+            for v in range(high):
+                if free[top, u * size, v * size]:
+                    bound = _bound(levels, top, xs[a], ys[a], u * size, v * size)
+                    if bound > floor:
+                        bounds[m] = bound
+                        blocks[m] = (a * wide + u) * high + v
+                        m += 1
+    found = np.empty((most, 3), np.int64)
+    scores = np.empty(most, np.int64)
+    kept = visited = 0
+    stack = np.empty((8 * _MOST_LEVELS, 4), np.int64)
+    child = np.empty((4, 3), np.int64)
+    whole = True
+    for rank in np.argsort(-bounds[:m], kind="mergesort"):
+        if bounds[rank] <= _interesting(floor, share, scores, kept):
+            break
+        if visited > _MOST_VISITED_PLACES:
+            whole = False
+            break
+        block = blocks[rank]
+        a = block // (wide * high)
+        stack[0, 0] = top
+        stack[0, 1] = block // high % wide * size
+        stack[0, 2] = block % high * size
+        stack[0, 3] = bounds[rank]
+        depth = 1
+        while depth:
+            depth -= 1
+            level, x, y, bound = stack[depth]
+            if bound <= _interesting(floor, share, scores, kept):
+                continue
+            if _beaten(found, scores, kept, near, len(turns), a, level, x, y, bound):
+                continue
+            if level == 0:
+                kept = _keep(found, scores, kept, near, len(turns), a, x, y, bound)
+                continue
+            half = 1 << (level - 1)
+            for c in range(4):
+                child[c, 0], child[c, 1] = x + (c // 2) * half, y + (c % 2) * half
+                child[c, 2] = -1
+                if child[c, 0] < width and child[c, 1] < height and free[level - 1, child[c, 0], child[c, 1]]:
+                    child[c, 2] = _bound(levels, level - 1, xs[a], ys[a], child[c, 0], child[c, 1])
+                    visited += 1
+            for c in np.argsort(child[:, 2], kind="mergesort"):
+                if child[c, 2] > floor:
+                    stack[depth, 0] = level - 1
+                    stack[depth, 1], stack[depth, 2], stack[depth, 3] = child[c, 0], child[c, 1], child[c, 2]
+                    depth += 1
+    while kept and scores[kept - 1] <= int(share * scores[0]):
+        kept -= 1
+    poses = np.empty((kept, 3))
+    for k in range(kept):
+        poses[k, 0] = corner[0] + found[k, 0] * resolution
+        poses[k, 1] = corner[1] + found[k, 1] * resolution
+        poses[k, 2] = turns[found[k, 2]]
+    return poses, scores[:kept] / (FULL * count), whole
+
+
+@numba.njit(cache=True, nogil=True)
+def _interesting(floor, share, scores, kept):  # type: ignore[no-untyped-def]
+    """A pose has to score more than this to be kept."""
+    least = floor
+    if kept:
+        least = max(least, int(share * scores[0]))
+    if kept == len(scores):
+        least = max(least, scores[kept - 1])
+    return least
+
+
+@numba.njit(cache=True, nogil=True)
+def _beaten(found, scores, kept, near, turns, a, level, x, y, bound):  # type: ignore[no-untyped-def]
+    """Whether all poses of a block are neighbors of one that scores at least as well."""
+    last = (1 << level) - 1
+    for k in range(kept):
+        if scores[k] < bound:
+            return False
+        turned = abs(found[k, 2] - a)
+        dx = max(abs(x - found[k, 0]), abs(x + last - found[k, 0]))
+        dy = max(abs(y - found[k, 1]), abs(y + last - found[k, 1]))
+        if min(turned, turns - turned) <= near[1] and dx * dx + dy * dy <= near[0] * near[0]:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _keep(found, scores, kept, near, turns, a, x, y, score):  # type: ignore[no-untyped-def]
+    """Put a pose among those that were found, in place of its neighbors; how many there are then."""
+    left = 0
+    for k in range(kept):
+        turned = abs(found[k, 2] - a)
+        dx, dy = x - found[k, 0], y - found[k, 1]
+        if min(turned, turns - turned) > near[1] or dx * dx + dy * dy > near[0] * near[0]:
+            found[left] = found[k]
+            scores[left] = scores[k]
+            left += 1
+    k = min(left, len(scores) - 1)
+    while k > 0 and scores[k - 1] < score:
+        found[k] = found[k - 1]
+        scores[k] = scores[k - 1]
+        k -= 1
+    found[k, 0], found[k, 1], found[k, 2] = x, y, a
+    scores[k] = score
+    return min(left + 1, len(scores))
 
 
 @numba.njit(cache=True, nogil=True)

@@ -12,6 +12,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.session import Session
 from g2_recon.localization.occupancy import GridBuilder
 
 Float = NDArray[np.float64]
@@ -64,6 +65,10 @@ class KeyframeGrid:
     def add(self, scan: Scan) -> None:
         """Keep the scan of a new keyframe; it is counted in `update`."""
         self._scans.append(scan)
+
+    def add_session(self, session: Session) -> None:
+        """Keep the scans of the keyframes of a session."""
+        self._scans += session.scans(upside_down=self._turn < 0)
 
     def is_current(self, poses: ArrayLike) -> bool:
         """Whether every keyframe is counted, at T_map_base (K, 3), where it is now."""

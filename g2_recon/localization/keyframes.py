@@ -72,6 +72,18 @@ class Keyframes:
         self._count += 1
         return index
 
+    def fill(self, poses: Float, arrays: tuple[NDArray[np.generic], ...]) -> None:
+        """Replace all by poses (N, 3) and arrays as in `arrays`."""
+        points, normals, kinds, firsts, increments = arrays
+        count, width = kinds.shape
+        self._allocate(max(count, 1), max(width, 1))
+        self._count = count
+        self._poses[:count] = poses
+        self._points[:count, :width] = points
+        self._normals[:count, :width] = normals
+        self._kinds[:count, :width] = kinds
+        self._firsts[:count], self._increments[:count] = firsts, increments
+
     def _grow(self, rows: int, beams: int) -> None:
         old = self._poses, self._points, self._normals, self._kinds, self._firsts, self._increments
         width, used = self._kinds.shape[1], self._count

@@ -13,9 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from g2_recon.config import LocalizationConfig
+from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.se2_kernels import carried, compose, inverse_3x3, relative
+from g2_recon.geometry.session import Session
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
 from g2_recon.localization.beams import INVALID, SURFACE, Beams, beams
@@ -90,9 +92,9 @@ class Localizer:
         self._closing: _Closing | None = None
         self._odometry = OdometrySteps(self._T_base_laser, use=self._config.use_odometry)
         self._start = se2.compose(np.array(pose, float), self._T_base_laser)
-        # Of keyframes: index of the scan, step of the wheels from the one before, way driven until there, track lost
+        # Of keyframes: stamp, step of the wheels from the one before, way driven until there, track lost
         # on the way there.
-        self._scan_of: list[int] = []
+        self._keyframe_stamps: list[float] = []
         self._wheel_steps: list[Float] = []
         self._ways: list[float] = []
         self._broken: list[bool] = []
@@ -121,6 +123,11 @@ class Localizer:
         """How many loops were closed."""
         return len(self._loops.loops)
 
+    @property
+    def _segment_is_empty(self) -> bool:
+        """Whether there is no keyframe yet that a scan can be laid on."""
+        return len(self._keyframes) == self._tracker.segment
+
     def process(self, scan: Scan, odometry: ArrayLike | None = None) -> LocalizedScan:
         """Localize one scan and, where the robot has moved on, add it to the map.
 
@@ -135,9 +142,8 @@ class Localizer:
             upside_down=self._upside_down,
             twist=self._twist if step is None else _velocity(step, elapsed),
         )
-        before = self._last
         placement = self._place(seen, step)
-        self._twist = _velocity(relative(before, placement.pose), elapsed)
+        self._twist = _velocity(relative(self._last, placement.pose), elapsed)
         self._stamp = scan.stamp
         self._wheels_since = compose(self._wheels_since, _UNKNOWN if step is None else step)
         self._last = placement.pose
@@ -153,7 +159,7 @@ class Localizer:
         return LocalizedScan(scan.stamp, pose, covariance, placement.inliers, placement.matched, keyframe)
 
     def _place(self, seen: Beams, step: Float | None) -> Placement:
-        if not len(self._keyframes):
+        if self._segment_is_empty:
             matched = np.count_nonzero(seen.kinds == SURFACE) >= FEWEST_SURFACES
             pose = self._last if step is None else compose(self._last, step)
             return Placement(pose, 1e6 * np.eye(3), 1.0, 1.0, matched)
@@ -165,9 +171,10 @@ class Localizer:
     def _grow_map(self, seen: Beams, placement: Placement) -> bool:
         """Add the scan if the robot has moved on since the last keyframe; a rejected match would blur the map."""
         surfaces = np.count_nonzero(seen.kinds == SURFACE)
-        if not len(self._keyframes):
+        if self._segment_is_empty:
             if placement.matched:
-                self._add_keyframe(seen, placement.pose, 0.0, broken=False)
+                way = _BREAK_WAY_M if len(self._keyframes) else 0.0
+                self._add_keyframe(seen, placement.pose, way, broken=way > 0)
             return placement.matched
         moved = relative(self._keyframes.poses[-1], placement.pose)
         way, turn = math.hypot(moved[0], moved[1]), abs(moved[2])
@@ -185,7 +192,7 @@ class Localizer:
 
     def _add_keyframe(self, seen: Beams, pose: Float, way: float, *, broken: bool) -> None:
         self._keyframes.add(seen, pose)
-        self._scan_of.append(len(self._stamps))
+        self._keyframe_stamps.append(self._stamp)
         self._wheel_steps.append(self._wheels_since)
         self._wheels_since = np.zeros(3)
         self._ways.append(way + (self._ways[-1] if self._ways else 0.0))
@@ -201,7 +208,7 @@ class Localizer:
         it shares with the keyframes around it. Closed loops, which would make it surer again, are not counted.
         """
         match = np.asarray(inverse_3x3(placement.information + _LEAST_INFORMATION * np.eye(3)))
-        if not len(self._keyframes):
+        if self._segment_is_empty:
             return match
         if keyframe and len(self._keyframes) > 1:
             grown = np.diag(_BROKEN_SIGMA**2) if self._broken[-1] else _DRIFT_SHARE * match
@@ -214,7 +221,7 @@ class Localizer:
         return np.asarray(carried(covariance, x, y))
 
     def _remember(self, stamp: float, seen: Beams, pose: Float, *, keyframe: bool) -> None:
-        if not len(self._keyframes):
+        if self._segment_is_empty:
             owner, offset = -1, pose
         else:
             owner = len(self._keyframes) - 1
@@ -271,6 +278,51 @@ class Localizer:
         first = np.array([local.first for local in self._loops.maps])
         poses[:] = se2.compose(steps[np.searchsorted(first, np.arange(len(poses)), side="right") - 1], poses)
         self._tracker.moved()
+
+    def session(self) -> Session:
+        """All that it takes to go on in this map another time. Raises InputError where there is no keyframe."""
+        if not len(self._keyframes):
+            raise InputError("there is no map to save", advice="send scans first")
+        before = self._keyframes.poses[-1].copy()
+        if self._take_loops():
+            self._last = compose(self._keyframes.poses[-1], relative(before, self._last))
+        points, normals, kinds, firsts, increments = self._keyframes.arrays
+        count = len(self._keyframes)
+        begins = [local.first for local in self._loops.maps] + ([self._map_begins] if self._map_begins < count else [])
+        loops = self._loops.credible()
+        return Session(
+            stamps=np.array(self._keyframe_stamps),
+            poses=self._keyframes.poses.copy(),
+            points=points.copy(),
+            normals=normals.copy(),
+            kinds=kinds.copy(),
+            firsts=firsts.copy(),
+            increments=increments.copy(),
+            ways=np.array(self._ways),
+            wheel_steps=np.array(self._wheel_steps),
+            broken=np.array(self._broken),
+            local_maps=np.array(begins, np.int64),
+            loops=np.array([loop[:2] for loop in loops], np.int64).reshape(-1, 2),
+            loop_information=np.array([loop[3] for loop in loops]).reshape(-1, 3, 3),
+        )
+
+    def resume(self, session: Session, pose: ArrayLike = se2.IDENTITY) -> None:
+        """Forget everything and go on in the map of a session, in a new segment with the robot at `pose` (3,)."""
+        Localizer.reset(self, pose)
+        self._take_keyframes(session)
+        self._wheel_steps = list(session.wheel_steps)
+        self._ways = session.ways.tolist()
+        self._broken = session.broken.tolist()
+        graph = session.local_maps, session.ways, session.loops, session.loop_information
+        self._loops.resume(self._keyframes.snapshot(), *graph)
+        self._map_begins = len(session)
+
+    def _take_keyframes(self, session: Session) -> None:
+        """In place of those that there are; a new segment begins after them."""
+        arrays = session.points, session.normals, session.kinds, session.firsts, session.increments
+        self._keyframes.fill(session.poses, arrays)
+        self._keyframe_stamps = session.stamps.tolist()
+        self._tracker.segment = len(session)
 
     def finish(self, progress: Progress = silent) -> None:
         """Close the loops that are left and refine all poses, as one does after the end of a recording."""
@@ -344,7 +396,7 @@ class Localizer:
     def keyframes(self) -> Trajectory:
         """T_map_base of the scans that were added to the map."""
         poses = se2.compose(self._keyframes.poses, self._T_laser_base)
-        return Trajectory.from_se2([self._stamps[index] for index in self._scan_of], poses)
+        return Trajectory.from_se2(self._keyframe_stamps, poses)
 
     def point_map(self) -> Float:
         """The points (N, 2) of the map, thinned to `map_spacing`."""

@@ -55,6 +55,8 @@ _RIVAL = 0.85
 _AMBIGUOUS = 1e-5
 
 _LOOP_SIGMA_M, _LOOP_SIGMA_RAD = 0.05, 0.01
+# How sure a place in the map of an earlier session is.
+_KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD = 0.1, 0.02
 _KERNEL = 16.0
 _MOST_COST = 25.0
 _MOST_DEVIATION = 16.0
@@ -85,6 +87,8 @@ class LoopCloser:
         self.loops: list[tuple[int, int, Float, Float]] = []
         self._pyramids: dict[int, Pyramid] = {}
         self._cost = 0.0
+        # No loop is looked for between earlier local maps and those from this one on: how they lie is not known.
+        self.apart = 0
         self.rejected = self.ambiguous = self.tried = 0
 
     def handle(self, keyframes: Keyframes, first: int, last: int, way: float) -> Float | None:
@@ -120,6 +124,36 @@ class LoopCloser:
         self.maps.append(new)
         self.poses = np.vstack([self.poses, poses[reference]])
         return len(self.maps) - 1
+
+    def resume(
+        self,
+        keyframes: Keyframes,
+        begins: NDArray[np.int64],
+        ways: Float,
+        loops: NDArray[np.int64],
+        information: Float,
+    ) -> None:
+        """Take up the local maps (C,) and loops (L, 2) of a saved session, with all where its keyframes are now."""
+        ends = [*begins[1:].tolist(), len(keyframes)]
+        for first, last in zip(begins.tolist(), ends, strict=True):
+            self.add(keyframes, first, last, float(ways[(first + last) // 2]))
+        for (a, b), known in zip(loops.tolist(), information, strict=True):
+            self.loops.append((a, b, se2.relative(self.poses[a], self.poses[b]), known.copy()))
+
+    def carry(self, first: int, step: Float) -> None:
+        """Move the local maps of keyframes from `first` on by a step (3,) in the map, where their place is known."""
+        for c, local in enumerate(self.maps):
+            if local.first >= first:
+                self.poses[c] = se2.compose(step, self.poses[c])
+            if local.first == first and c:
+                information = np.diag([1 / _KNOWN_SIGMA_M**2] * 2 + [1 / _KNOWN_SIGMA_RAD**2])
+                self._sequence[c - 1] = (se2.relative(self.poses[c - 1], self.poses[c]), information)
+
+    def credible(self) -> list[tuple[int, int, Float, Float]]:
+        """The loops that fit with all the others."""
+        loops = self._edges([])[len(self._sequence) :]
+        fits = pose_graph.deviations(self.poses, loops) < _KERNEL
+        return [loop for loop, credible in zip(self.loops, fits, strict=True) if credible]
 
     def _cloud(self, first: int, last: int, base: Float, farthest: float, cell: float) -> Float:
         """Points (N, 2) of keyframes in the frame of `base` (3,), seen from at most so far (m), one a cell (m)."""
@@ -178,7 +212,10 @@ class LoopCloser:
         candidates = [
             j
             for j in range(c - 2)
-            if ways[c] - ways[j] > _LEAST_WAY_M and distance[j] < window[j] + 4.0 and (j, c) not in known
+            if (j < self.apart) == (c < self.apart)
+            and ways[c] - ways[j] > _LEAST_WAY_M
+            and distance[j] < window[j] + 4.0
+            and (j, c) not in known
         ]
         candidates.sort(key=lambda j: distance[j] / (window[j] + 5.0))
         found = 0

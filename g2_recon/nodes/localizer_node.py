@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path as FilePath
 from time import monotonic
 from typing import NamedTuple
 
@@ -25,13 +26,17 @@ from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import PoseBuffer
 from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.localized_scan import LocalizedScan
+from g2_recon.localization.localizer import Localizer
+from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import AnyLocalizer, make_localizer
+from g2_recon.localization.resumed import ResumedLocalizer
 from g2_recon.nodes import conversions
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode, session_folder
 from g2_recon.recording.clouds import write_cloud
 from g2_recon.recording.occupancy_maps import write_map
+from g2_recon.recording.sessions import read_session, write_session
 from g2_recon.recording.trajectories import write_tum
 
 # Odometry with a longer gap says nothing about a time inside it.
@@ -54,13 +59,14 @@ class LocalizerNode(StageNode[LocalizerParameters]):
     """Localizes each scan; publishes poses at once, trajectory and maps at new keyframes, at most once a second."""
 
     def __init__(self) -> None:
-        """Raises ConfigError where a parameter is wrong."""
+        """Raises ConfigError where a parameter is wrong, InputError where the map cannot be used."""
         super().__init__("localizer_node", LocalizerParameters)
         self._transforms = Transforms(self)
         self._mount = LaserMount(self, self.settings.laser_pose, self.settings.base_frame, self._transforms)
         self._localizer: AnyLocalizer | None = None
         self._grid: KeyframeGrid | None = None
-        self._start: NDArray[np.float64] = se2.IDENTITY
+        self._start: NDArray[np.float64] | None = None
+        self._session = read_session(FilePath(self.settings.map).expanduser()) if self.settings.map else None
         self._odometry = PoseBuffer()
         self._waiting: deque[_WaitingScan] = deque()
         self._jumps = JumpDetector()
@@ -88,7 +94,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
 
     def waiting_for(self) -> str:
         """See StageNode."""
-        return self.not_received("scan") or self._mount.waiting_for
+        return self.not_received("scan") or self._mount.waiting_for or self._waiting_for_place()
+
+    def _waiting_for_place(self) -> str:
+        lost = isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)) and not self._localizer.is_placed
+        return "looking for the place of the robot in the loaded map: drive, or give an initialpose" if lost else ""
 
     def figures(self) -> dict[str, object]:
         """See StageNode."""
@@ -122,15 +132,17 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             return
         if self._jumps.jumped_back(scan.stamp):
             self.get_logger().warning(f"time jumped back to {scan.stamp:.3f} s: starting a new map")
-            self._reset(se2.IDENTITY)
+            self._reset(None)
         T_base_laser = self._mount.find(scan.frame_id)
         if T_base_laser is None:
             self.drops["scan of a laser with unknown pose"] += 1
             return
         if self._localizer is None:
-            self._localizer = make_localizer(self.settings, T_base_laser)
-            self._localizer.reset(self._start)
+            self._localizer = make_localizer(self.settings, T_base_laser, session=self._session)
+            if self._start is not None:
+                self._localizer.reset(self._start)
             self._grid = KeyframeGrid(self.settings, T_base_laser)
+            self._empty_grid()
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._waiting.append(_WaitingScan(scan, message.header.stamp, monotonic()))
         self._process_waiting()
@@ -169,7 +181,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
     def _publish_pose(self, result: LocalizedScan, stamp: Time, T_odom_base: NDArray[np.float64] | None) -> None:
         head = conversions.header(stamp, self.settings.map_frame)
         self._pose_publisher.publish(conversions.planar_pose_message(head, result.pose, result.covariance))
-        if T_odom_base is not None:
+        if T_odom_base is not None and not self._waiting_for_place():
             T_map_odom = se3.from_se2(result.pose) @ se3.inverse(T_odom_base)
             self._transforms.send(stamp, self.settings.map_frame, self.settings.odom_frame, T_map_odom)
 
@@ -215,23 +227,37 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         except InputError as error:
             self.drop("unusable initialpose", str(error))
             return
-        self.get_logger().info(f"starting a new map at x {pose[0]:.2f} m, y {pose[1]:.2f} m, yaw {pose[2]:.2f} rad")
-        self._reset(pose)
+        near = f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, yaw {pose[2]:.2f} rad"
+        if self._session is None:
+            self.get_logger().info(f"starting a new map at {near}")
+            self._reset(pose)
+        elif isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)):
+            self.get_logger().info(f"looking for the place of the robot near {near}")
+            self._localizer.set_pose(pose)
+        else:
+            self._start = pose
 
     def _reset_on_request(self) -> str:
-        self._reset(se2.IDENTITY)
-        return "starting a new map"
+        self._reset(None)
+        return "starting a new map" if self._session is None else "starting again with the loaded map"
 
-    def _reset(self, start: NDArray[np.float64]) -> None:
-        """Start a new map. The empty trajectory tells whoever builds on the poses that they start anew."""
+    def _empty_grid(self) -> None:
+        """Only the map that is loaded stays in the grid."""
+        if self._grid is not None:
+            self._grid.clear()
+            if self._session is not None:
+                self._grid.add_session(self._session)
+                self._map_changed = True
+
+    def _reset(self, start: NDArray[np.float64] | None) -> None:
+        """Start anew. The empty trajectory tells whoever builds on the poses that they start anew."""
         self._start = start
         self._waiting.clear()
         self._newest_scan = -np.inf
         self._map_changed = False
         if self._localizer is not None:
-            self._localizer.reset(start)
-        if self._grid is not None:
-            self._grid.clear()
+            self._localizer.reset(*([] if start is None else [start]))
+        self._empty_grid()
         head = conversions.header(self._last_stamp, self.settings.map_frame)
         self._trajectory_publisher.publish(Path(header=head))
         self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
@@ -251,6 +277,10 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         if grid.cells.size:
             write_map(folder / "map.yaml", grid)
             wrote += f", map.yaml, map.pgm ({grid.cells.shape[1]} x {grid.cells.shape[0]} cells)"
+        if isinstance(self._localizer, Localizer) and len(self._grid):
+            session = self._localizer.session()
+            write_session(folder / "session.npz", session)
+            wrote += f", session.npz ({len(session)} keyframes)"
         return f"wrote {wrote} to {folder}"
 
 

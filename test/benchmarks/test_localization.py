@@ -19,10 +19,12 @@ from benchmarks.localization import (
     kept,
     lay_pair,
     occupancy,
+    relocalization_of,
     with_dropped_scans,
     with_invalid_beams,
     with_noise,
 )
+from benchmarks.random_poses import Floor, Search
 from g2_recon.geometry.recording import Recording
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
@@ -125,3 +127,24 @@ def test_without_logs_it_says_where_they_are_and_uses_the_simulation(tmp_path, m
     page = (tmp_path / "localization_benchmarks.md").read_text()
     assert "| first_floor |" in page and "](localization_maps.png)" in page
     assert (tmp_path / "localization_maps.png").exists()
+
+
+def test_of_robots_that_were_put_down_it_says_who_was_right_wrong_and_not_sure():
+    found = [
+        Search(scans=0, slowest=0.2, metres=0.02, degrees=0.1),
+        Search(scans=7, slowest=0.3, metres=0.09, degrees=1.9),
+        Search(scans=3, slowest=0.4, metres=0.02, degrees=2.1),
+        Search(scans=90, slowest=0.1, metres=math.nan, degrees=math.nan),
+    ]
+    row = relocalization_of(found)
+    assert [row[of] for of in ("right, %", "wrong, %", "not sure, %", "at once, %")] == ["50.0", "25.0", "25.0", "25.0"]
+    assert (row["median error, cm"], row["slowest, s"]) == ("2.0", "0.40")
+
+
+def test_robots_are_put_down_where_there_is_room_and_turn_once_around():
+    floor = Floor(0, boxes=3)
+    for _ in range(5):
+        way = floor.way(floor.somewhere())
+        assert way[36, 2] == pytest.approx(way[0, 2], abs=1e-9)
+        np.testing.assert_array_equal(way[36, :2], way[0, :2])
+        assert np.hypot(*np.diff(way[:, :2], axis=0).T).max() < 0.11

@@ -125,3 +125,59 @@ def test_a_corridor_repeats_itself_along_it_and_a_room_does_not(scan_of_corridor
     room = scan_of_room(POSE, beams=361)
     assert rival(room, POSE, (1, 0)) < 0.85
     assert rival(room, POSE, (0, 1)) < 0.85
+
+
+def everywhere(pyramid, points, turns):
+    """Scores (A, W, H) at each turn and of each cell for the origin of the points, and of no grid beyond its border."""
+    grid = np.pad(pyramid.levels[0].astype(int), 1)
+    width, height = pyramid.levels[0].shape
+    result = np.empty((len(turns), width, height))
+    for a, turn in enumerate(turns):
+        cells = np.floor(se2.transform_points([0, 0, turn], points) / RESOLUTION).astype(int)
+        for u in range(width):
+            for v in range(height):
+                x, y = np.clip(cells + (u, v), -1, np.array(grid.shape) - 2).T + 1
+                result[a, u, v] = grid[x, y].sum()
+    return result / (255 * len(points))
+
+
+def test_all_over_the_map_the_best_places_are_found_that_are_no_neighbors_of_better_ones(scan_of_room):
+    pyramid = pyramid_of(scan_of_room(POSE, beams=91), POSE)
+    points = points_of(scan_of_room((1.0, 0.5, 1.3), beams=61))[::3]
+    turns = np.arange(24) * (2 * math.pi / 24)
+    free = np.zeros_like(pyramid.levels)
+    free[0, 10:-10, 10:-10] = 1
+    branch_and_bound.raise_maxima(free)
+    near = np.array([4, 1])
+    poses, scores, whole = branch_and_bound.find_places(
+        pyramid.levels, free, pyramid.corner, RESOLUTION, points, turns, 0.2, 0.5, near, 8
+    )
+    assert whole
+    exact = everywhere(pyramid, points, turns) * free[0]
+    assert scores[0] == pytest.approx(exact.max(), abs=1e-6)
+    assert (np.diff(scores) <= 0).all()
+    assert (scores > 0.5 * scores[0]).all()
+    at = np.column_stack(
+        [np.round((poses[:, :2] - pyramid.corner) / RESOLUTION), np.round(poses[:, 2] / turns[1])]
+    ).astype(int)
+    for k, (u, v, a) in enumerate(at):
+        assert exact[a, u, v] == pytest.approx(scores[k], abs=1e-6)
+        for other in at[:k]:
+            turned = abs(other[2] - a)
+            assert np.hypot(*(other[:2] - (u, v))) > near[0] or min(turned, 24 - turned) > near[1]
+    # What scores better than the last of them is a neighbor of a better one.
+    for a, u, v in zip(*np.nonzero(exact > scores[-1] + 1e-6), strict=True):
+        turned = np.abs(at[:, 2] - a)
+        beside = (np.hypot(*(at[:, :2] - (u, v)).T) <= near[0]) & (np.minimum(turned, 24 - turned) <= near[1])
+        assert (scores[beside] >= exact[a, u, v] - 1e-6).any()
+
+
+def test_where_nothing_fits_no_place_is_found(scan_of_room):
+    pyramid = pyramid_of(scan_of_room(POSE), POSE)
+    free = np.ones_like(pyramid.levels)
+    points = np.array([[50.0 * k, 0.0] for k in range(1, 40)])
+    turns = np.arange(8) * (math.pi / 4)
+    poses, scores, whole = branch_and_bound.find_places(
+        pyramid.levels, free, pyramid.corner, RESOLUTION, points, turns, 0.5, 0.5, np.array([4, 1]), 8
+    )
+    assert poses.shape == (0, 3) and scores.shape == (0,) and whole

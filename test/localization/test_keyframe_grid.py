@@ -6,6 +6,7 @@ import pytest
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry import se2, se3
 from g2_recon.localization.keyframe_grid import KeyframeGrid
+from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.occupancy import GridBuilder
 
 WAY = np.array([(0.1 * i, 0.02 * i, 0.1 * i) for i in range(12)])
@@ -122,3 +123,25 @@ def test_returns_outside_the_set_ranges_make_no_wall(scan_of_room):
     distances = np.hypot(*(cells.origin[:2, None] + cells.resolution * (np.stack([columns, rows]) + 0.5)))
     # Half the diagonal of a cell.
     assert distances == pytest.approx(np.full(len(distances), 1.5), abs=0.036)
+
+
+@pytest.mark.parametrize("roll", [0.0, np.pi])
+def test_a_session_has_the_walls_where_its_scans_have_them(grid_of, scan_of_room, roll):
+    mount = se3.from_xyz_rpy([0.2, 0.1, 0.4, roll, 0, 0.3])
+    localizer = Localizer(LocalizationConfig(keyframe_distance=0.01), mount)
+    localizer.reset(WAY[0])
+    for pose in WAY:
+        seen = scan_of_room(se2.compose(pose, se2.from_se3(mount)), upside_down=roll > 0)
+        localizer.process(seen, se2.relative(WAY[0], pose))
+    settings = LocalizationConfig(grid_resolution=0.1)
+    grid, loaded = KeyframeGrid(settings, mount), KeyframeGrid(settings, mount)
+    for pose in WAY:
+        grid.add(scan_of_room(se2.compose(pose, se2.from_se3(mount)), upside_down=roll > 0))
+    loaded.add_session(localizer.session())
+    poses = localizer.keyframes().planar()
+    assert len(loaded) == len(WAY)
+    assert grid.update(poses) and loaded.update(poses)
+    # Ranges in a session have been points in single precision.
+    ours, theirs = loaded.grid(), grid.grid()
+    assert ours.cells.shape == theirs.cells.shape
+    assert np.mean(ours.cells != theirs.cells) < 0.01

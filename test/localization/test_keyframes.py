@@ -50,3 +50,19 @@ def test_a_snapshot_stays_as_it_is_while_the_keyframes_move_and_grow():
     assert len(snapshot) == 3
     assert snapshot.poses.tolist() == [[0] * 3, [1] * 3, [2] * 3]
     assert snapshot.arrays[0].tolist() == points
+
+
+def test_all_keyframes_can_be_replaced():
+    some, other = Keyframes(), Keyframes()
+    for seed in range(3):
+        some.add(some_beams(10, seed), np.full(3, float(seed)))
+    other.add(some_beams(20, 7), np.zeros(3))
+    other.fill(some.poses, some.arrays)
+    assert len(other) == 3
+    np.testing.assert_array_equal(other.poses, some.poses)
+    for one, same in zip(other.arrays, some.arrays, strict=True):
+        np.testing.assert_array_equal(one, same)
+    other.poses[0] = 7
+    assert some.poses[0].tolist() == [0, 0, 0]
+    other.add(some_beams(20, 8), np.zeros(3))
+    assert other.arrays[2].shape == (4, 20)

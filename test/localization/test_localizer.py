@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from g2_recon.config import LocalizationConfig
+from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.scan import Scan
 from g2_recon.localization.localizer import Localizer
@@ -198,7 +199,7 @@ def test_standing_still_for_long_adds_nothing_to_memory(scan_of_room):
 
     def sizes():
         held = [
-            localizer._scan_of, localizer._wheel_steps, localizer._ways, localizer._broken, localizer._stamps,
+            localizer._keyframe_stamps, localizer._wheel_steps, localizer._ways, localizer._broken, localizer._stamps,
             localizer._owners, localizer._offsets, localizer._causal, localizer._scans, localizer._keyframes,
             localizer._loops.maps,
         ]  # fmt: skip
@@ -377,3 +378,27 @@ def test_no_local_map_reaches_over_a_break(scan_of_halls, scan_of_room, drive_al
     assert len(localizer._loops.maps) > 2
     for local in localizer._loops.maps:
         assert not any(localizer._broken[local.first + 1 : local.last])
+
+
+def test_a_session_holds_the_map_and_can_be_gone_on_from(closed, scan_of_halls, truth_in_the_halls):
+    localizer = closed[0]
+    session = localizer.session()
+    np.testing.assert_array_equal(session.poses, localizer._keyframes.poses)
+    assert len(session.loops) > 0
+    other = Localizer(LocalizationConfig(), np.eye(4))
+    other.resume(session, truth_in_the_halls[0])
+    np.testing.assert_array_equal(other.keyframes().positions, localizer.keyframes().positions)
+    np.testing.assert_array_equal(other.keyframes().stamps, localizer.keyframes().stamps)
+    np.testing.assert_array_equal(other.point_map(), localizer.point_map())
+    assert other.loops == len(session.loops)
+    again = other.session()
+    for name in ("poses", "points", "ways", "broken", "local_maps", "loops", "loop_information"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(session, name), err_msg=name)
+    result = other.process(scan_of_halls(truth_in_the_halls[0]))
+    assert result.keyframe
+    assert other.session().broken.tolist() == [*session.broken.tolist(), True]
+
+
+def test_without_a_keyframe_there_is_no_session():
+    with pytest.raises(InputError, match="there is no map to save"):
+        Localizer(LocalizationConfig(), np.eye(4)).session()

@@ -133,3 +133,23 @@ def room_scan() -> Callable[..., LaserScan]:
         )
 
     return look
+
+
+@pytest.fixture
+def niche_scan(room_scan: Callable[..., LaserScan]) -> Callable[..., LaserScan]:
+    """As `room_scan`, of a room that looks the same from nowhere else: a box of 1 m x 0.5 m stands in its corner."""
+
+    def look(stamp: float, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> LaserScan:
+        scan = room_scan(stamp, pose)
+        x, y, yaw = pose
+        angles = np.linspace(-np.pi, np.pi, 360, endpoint=False) + yaw
+        cos, sin = np.cos(angles), np.sin(angles)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            front, side = (2.0 - x) / cos, (1.5 - y) / sin
+            front[~((front > 0) & (y + front * sin >= 1.5))] = np.inf
+            side[~((side > 0) & (x + side * cos >= 2.0))] = np.inf
+        ranges = np.minimum.reduce([np.array(scan.ranges), front, side])
+        scan.ranges = array.array("f", ranges.astype(np.float32).tobytes())
+        return scan
+
+    return look

@@ -23,6 +23,7 @@ from g2_recon.nodes.localizer_node import LocalizerNode
 from g2_recon.nodes.ros import LATCHED
 from g2_recon.recording.clouds import read_cloud
 from g2_recon.recording.occupancy_maps import read_map
+from g2_recon.recording.sessions import read_session
 from g2_recon.recording.trajectories import read_tum
 
 MOUNTED = ("-p", "laser_pose:=[0.0,0.0,0.3,0.0,0.0,0.0]")
@@ -262,6 +263,7 @@ def test_save_writes_trajectory_and_map(drive, tmp_path):
     grid = read_map(tmp_path / "session/map.yaml")
     assert grid.at([(0.0, 0.0), (0.6, 0.0)]).tolist() == [0, 0]
     assert (grid.cells == 100).sum() > 100
+    assert len(read_session(tmp_path / "session/session.npz")) == 3
 
 
 def test_save_without_a_folder_says_which_parameter_to_set(drive):
