@@ -32,8 +32,8 @@ class Session:
     """N keyframes with B beams each, where they are in the map, and what ties them to each other.
 
     stamps: (N,) s. poses: (N, 3) T_map_laser. points: (N, B, 2) m in the planar laser frame, normals: (N, B, 2) unit
-    or zero, kinds: (N, B) 0 no measurement, 1 point, 2 point on a surface; firsts, increments: (N,) rad, bearing of the
-    first beam and from beam to beam. ways: (N,) m driven until there. wheel_steps: (N, 3) step of the laser since the
+    or zero, kinds: (N, B) 0 no measurement, 1 point, 2 point on a surface, 4 corner; firsts, increments: (N,) rad,
+    bearing of the first beam and from beam to beam. ways: (N,) m driven until there. wheel_steps: (N, 3) step of the laser since the
     keyframe before as the wheels say, NaN where unknown. broken: (N,) where track was lost on the way to a keyframe.
     local_maps: (C,) how many keyframes there are when each of the C local maps begins. loops: (L, 2) which two local
     maps are the same place, and loop_information: (L, 3, 3) of the pose of the second as seen from the first.
@@ -95,8 +95,8 @@ class Session:
         # The bearing of a beam tells its index, and partners are looked for in steps of it.
         if not ((self.increments >= FINEST_RAD) & (self.increments <= 2 * math.pi)).all():
             raise InputError(f"increments of a session are angles from {FINEST_RAD:g} to 2 pi", advice=_ADVICE)
-        if self.kinds.max(initial=0) > 2:
-            raise InputError("kinds of a session go from 0 to 2", advice=_ADVICE)
+        if not np.isin(self.kinds, (0, 1, 2, 4)).all():
+            raise InputError("kinds of a session are 0, 1, 2 or 4", advice=_ADVICE)
         if (np.diff(self.ways) < 0).any():
             raise InputError("ways of a session do not grow", advice=_ADVICE)
 

@@ -161,19 +161,23 @@ def slide(  # type: ignore[no-untyped-def]
 ):
     """How far (m) along a direction (2,) from a pose (3,) the points of a scan fit best, within +-reach m.
 
-    Steps of `step` m, then a parabola. A m^2 from where it is `expected` (m along the direction) costs `away`.
+    And how much better than where they fit worst. Steps of `step` m, then a parabola. A m^2 from where it is `expected`
+    (m along the direction) costs `away`.
     """
     count = int(reach / step)
-    scores = np.empty(2 * count + 1)
+    costs = np.empty(2 * count + 1)
+    lowest, highest = 1.0, 0.0
     at = pose.copy()
     for k in range(2 * count + 1):
         off = (k - count) * step
         at[0], at[1] = pose[0] + off * direction[0], pose[1] + off * direction[1]
-        scores[k] = score(grid, points, kinds, at, x0, y0, resolution) - away * (off - expected) ** 2
-    k = int(np.argmax(scores))
-    best = float(k - count)
+        fit = score(grid, points, kinds, at, x0, y0, resolution)
+        lowest, highest = min(lowest, fit), max(highest, fit)
+        costs[k] = away * (off - expected) ** 2 - fit
+    k = int(np.argmin(costs))
+    off = (k - count) * step
     if 0 < k < 2 * count:
-        bend = scores[k - 1] - 2 * scores[k] + scores[k + 1]
-        if bend < 0:
-            best += 0.5 * (scores[k - 1] - scores[k + 1]) / bend
-    return best * step
+        bend = costs[k - 1] - 2 * costs[k] + costs[k + 1]
+        if bend > 0:
+            off += 0.5 * step * (costs[k - 1] - costs[k + 1]) / bend
+    return off, highest - lowest

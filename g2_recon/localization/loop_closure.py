@@ -43,8 +43,10 @@ _LEAST_WAY_M = 15.0
 _MOST_TRIED, _ENOUGH_FOUND = 40, 2
 
 _LEAST_SCORE = 0.55
-_LEAST_INLIERS = 0.6
-_LEAST_AGREEMENT = 0.8
+# Share of inliers, and of points that the other local map does not contradict. Fewer inliers do where nearly nothing is
+# contradicted: something has changed, or one saw less of the place.
+_LEAST_INLIERS, _FEW_INLIERS = 0.6, 0.45
+_LEAST_AGREEMENT, _FULL_AGREEMENT = 0.8, 0.95
 _FARTHEST_ICP_M = 0.6
 # ICP of a local map on another: every other keyframe, every third beam, where keyframes are so near to each other;
 # search distance and width of the robust kernel, first to last iteration, m.
@@ -256,7 +258,9 @@ class LoopCloser:
             fixed, poses, *self._keyframes.arrays, _BEAM_STEP,
         )  # fmt: skip
         T = relative(base, pose)
-        if inliers < _LEAST_INLIERS or math.hypot(*(T - start)[:2]) > _FARTHEST_ICP_M:
+        if inliers < _FEW_INLIERS or math.hypot(*(T - start)[:2]) > _FARTHEST_ICP_M:
+            return None
+        if inliers < _LEAST_INLIERS and same < _FULL_AGREEMENT * (same + against):
             return None
         if same < _LEAST_AGREEMENT * (same + against):
             self.rejected += 1

@@ -21,9 +21,9 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, likelihood
-from g2_recon.localization.beams import INVALID, POINT, SURFACE, Beams
+from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, Beams
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.pairing import agreement, lay, picked, room
+from g2_recon.localization.pairing import agreement, lay, parted, picked, room
 from g2_recon.localization.point_map import first_in_each_cell
 from g2_recon.localization.tracking import PAIR_SIGMA_M
 
@@ -307,7 +307,7 @@ def most_overlap(  # type: ignore[no-untyped-def]
 ):
     """Those of the keyframes asked that see the same as a scan at a pose, most of it first."""
     memory = room(len(scan_kinds))
-    rows = picked(scan_points, scan_normals, scan_kinds, POINT, _ASK_STEP)
+    rows = picked(scan_points, scan_normals, scan_kinds, ANY_KIND, _ASK_STEP)
     seen = np.empty(len(asked), np.int64)
     for c in range(len(asked)):
         k = asked[c]
@@ -346,7 +346,7 @@ def lay_group(  # type: ignore[no-untyped-def]
             one[:] = 0.0
             pull[:] = 0.0
             more, viewed = lay(
-                at, picked(scan_points[m], scan_normals[m], scan_kinds[m], SURFACE, 1), chosen, poses,
+                at, parted(scan_points[m], scan_normals[m], scan_kinds[m], CORNER, 1), chosen, poses,
                 points, normals, kinds, firsts, increments, distance, sigma, one, pull, memory,
             )  # fmt: skip
             inliers += more
@@ -371,14 +371,14 @@ def judge_group(  # type: ignore[no-untyped-def]
     same = against = still = gone = 0
     for m in range(len(group)):
         at = compose(pose, group[m])
-        rows = picked(scan_points[m], scan_normals[m], scan_kinds[m], POINT, 2)
+        rows = picked(scan_points[m], scan_normals[m], scan_kinds[m], ANY_KIND, 2)
         for k in references[m]:
             if k < 0:
                 continue
             more, less = agreement(relative(poses[k], at), rows, points[k], kinds[k], firsts[k], increments[k], memory)
             same += more
             against += less
-            back = picked(points[k], normals[k], kinds[k], POINT, 2)
+            back = picked(points[k], normals[k], kinds[k], ANY_KIND, 2)
             more, less = agreement(
                 relative(at, poses[k]), back, scan_points[m], scan_kinds[m], scan_firsts[m], scan_increments[m], memory
             )

@@ -41,12 +41,12 @@ _FOUND_SIGMA = np.array([0.05, 0.05, 0.1])
 _FAR_TURNS = np.radians([40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0])
 
 # Along the direction in which the surfaces hold a scan least, if they hold it with less than so many beams, it slides
-# to where all its points fit best: so far, in such steps, in a grid of its own, m. It comes to lie so exactly, m; and
-# m^2 away from the prediction cost so much likelihood, with and without odometry.
+# to where all its points fit best: so far, in such steps, in a grid of its own, m. It comes to lie so exactly, m, unless
+# likelihoods differ by less than this; and m^2 away from the prediction cost so much of it, with and without odometry.
 _WEAK = 10.0
 _SLIDE_M, _SLIDE_STEP_M = 0.4, 0.025
 _FINE_RESOLUTION_M, _FINE_SIGMA_M, _FINE_CELLS = 0.05, 0.06, 1000
-_SLID_SIGMA_M = 0.02
+_SLID_SIGMA_M, _LEAST_CONTRAST = 0.02, 0.05
 _AWAY_WITH_ODOMETRY, _AWAY_WITHOUT = 10.0, 1.0
 # Without odometry the robot is expected to move on as it did on average over the last scans; one alone errs too much.
 _STEADY = 10
@@ -235,19 +235,20 @@ class Tracker:
         expected to lie; away: what m^2 from there cost.
         """
         values, vectors = np.linalg.eigh(placement.information[:2, :2])
-        held = values[0] * PAIR_SIGMA_M**2
-        if held > _WEAK:
+        if values[0] * PAIR_SIGMA_M**2 > _WEAK:
             return placement
         weak = np.ascontiguousarray(vectors[:, 0])
         expected = float((guess - placement.pose)[:2] @ weak)
-        off = likelihood.slide(
+        off, contrast = likelihood.slide(
             self._drawn_fine(), beams.points, beams.kinds, placement.pose, weak, _SLIDE_M, _SLIDE_STEP_M,
             expected, away, self._fine_corner[0], self._fine_corner[1], _FINE_RESOLUTION_M,
         )  # fmt: skip
-        share = 1 / (1 + held * (_SLID_SIGMA_M / PAIR_SIGMA_M) ** 2)
+        if contrast < _LEAST_CONTRAST:
+            return placement
+        seen = 1 / _SLID_SIGMA_M**2
         pose, information = placement.pose.copy(), placement.information.copy()
-        pose[:2] += share * off * weak
-        information[:2, :2] += np.outer(weak, weak) / _SLID_SIGMA_M**2
+        pose[:2] += seen / (seen + values[0]) * off * weak
+        information[:2, :2] += seen * np.outer(weak, weak)
         return replace(placement, pose=pose, information=information)
 
     def _drawn_fine(self) -> likelihood.Grid:

@@ -7,7 +7,7 @@ import pytest
 
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
-from g2_recon.localization.beams import INVALID, POINT, SURFACE, beams, surface_normals
+from g2_recon.localization.beams import CORNER, INVALID, POINT, SURFACE, beams, surface_normals
 
 LIMITS = {"range_min": 0.1, "range_max": 40.0}
 POSE = np.array([0.5, 0.3, 0.4])
@@ -69,10 +69,10 @@ def test_normals_are_those_of_the_walls_and_point_to_the_laser(scan_of_room):
     assert (seen.normals[~surface] == 0).all()
 
 
-def test_beams_that_hit_this_and_that_are_points_without_a_surface():
+def test_beams_that_hit_this_and_that_are_on_no_surface():
     ranges = np.where(np.arange(100) % 2, 2.0, 5.0).astype(np.float32)
     seen = beams(Scan(0.0, ranges, -1.0, 0.02), **LIMITS)
-    assert (seen.kinds == POINT).all()
+    assert (seen.kinds == CORNER).all()
     assert (seen.normals == 0).all()
 
 

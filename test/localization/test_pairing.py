@@ -7,7 +7,7 @@ import pytest
 
 from g2_recon.geometry import se2
 from g2_recon.localization import pairing
-from g2_recon.localization.beams import INVALID, POINT, SURFACE, Beams, beams
+from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, LOOSE, POINT, SURFACE, Beams, beams
 
 IDENTITY = np.zeros(3)
 POSE = np.array([0.5, 0.3, 0.4])
@@ -41,7 +41,7 @@ def partners(points, to, distance, *, kind=SURFACE, share=0.0, T=IDENTITY):
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-@pytest.mark.parametrize("kind", [POINT, SURFACE])
+@pytest.mark.parametrize("kind", [ANY_KIND, POINT, SURFACE])
 @pytest.mark.parametrize("share", [0.0, 0.05])
 def test_the_partner_is_that_of_a_search_among_all(field, kind, share):
     first, count, increment = field
@@ -55,7 +55,7 @@ def test_the_partner_is_that_of_a_search_among_all(field, kind, share):
     at = (distances[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])).astype(np.float32)
     found = partners(at, to, 0.3, kind=kind, share=share)
     # A beam that comes a full turn after the first one measures the same place again, and is not looked at.
-    other = (kinds >= kind) & (np.arange(count) * increment < 6.28)
+    other = (kinds & kind > 0) & (np.arange(count) * increment < 6.28)
     away = np.hypot(*(points[None] - at[:, None]).transpose(2, 0, 1))
     away[:, ~other] = np.inf
     limits = 0.3 + share * distances
@@ -74,7 +74,7 @@ def test_what_lies_outside_the_field_of_view_is_told_from_what_has_no_beam_near(
 
     def at(r, *degrees):
         angles = np.radians(degrees)
-        return partners(r * np.column_stack([np.cos(angles), np.sin(angles)]), b, 0.1, kind=POINT)
+        return partners(r * np.column_stack([np.cos(angles), np.sin(angles)]), b, 0.1, kind=ANY_KIND)
 
     assert at(1.0, 180, 120, -120, 97, -97) == [pairing.OUT_OF_VIEW] * 5
     assert at(1.0, -89, 0, 89) == [pairing.NO_PARTNER] * 3
@@ -104,47 +104,66 @@ def test_picked_are_beams_of_a_kind():
         [4, 5, -4, -5],
         [10, 11, -10, -11],
     ]
-    assert pairing.picked(points, -points, kinds, POINT, 2)[0].tolist() == [0, 4]
+    assert pairing.picked(points, -points, kinds, ANY_KIND, 2)[0].tolist() == [0, 4]
 
 
-def cost_of(pairs, a, b, T_b_a):
-    """Errors (M,) of given pairs of beams, at a transform."""
-    mine, partners = pairs
+def cost_of(pairs, a, b, T_b_a, *, backwards):
+    """Errors (M,) of given pairs of beams on surfaces, and (2 M,) of loose ones in the frame that stays."""
+    (mine, partners), (loose, others) = pairs
     off = se2.transform_points(T_b_a, a.points[mine]) - b.points[partners]
-    return (off * b.normals[partners]).sum(axis=1)
+    if backwards:
+        apart = a.points[loose] - se2.transform_points(se2.inverse(T_b_a), b.points[others])
+    else:
+        apart = se2.transform_points(T_b_a, a.points[loose]) - b.points[others]
+    return (off * b.normals[partners]).sum(axis=1), apart.T.ravel()
 
 
-def plain_pairs(a, b, T_b_a, max_distance):
+def plain_pairs(a, b, T_b_a, distance, loose):
     mine = np.flatnonzero(a.kinds == SURFACE)
-    found = np.array(partners(a.points[mine], b, max_distance, T=T_b_a))
+    found = np.array(partners(a.points[mine], b, distance, T=T_b_a))
     normals = se2.transform_points([0, 0, T_b_a[2]], a.normals[mine])
     fits = (found >= 0) & ((normals * b.normals[found]).sum(axis=1) >= 0.8)
-    return mine[fits], found[fits]
+    others = np.flatnonzero(a.kinds & loose)
+    near = np.array(partners(a.points[others], b, distance, kind=loose, share=0.5 * b.increment, T=T_b_a), int)
+    return (mine[fits], found[fits]), (others[near >= 0], near[near >= 0])
 
 
+@pytest.mark.parametrize("loose", [CORNER, LOOSE])
 @pytest.mark.parametrize("backwards", [False, True], ids=["forwards", "backwards"])
-def test_hessian_and_gradient_are_those_of_the_weighted_cost_by_differences(scan_of_room, backwards):
-    a, b = seen(scan_of_room(se2.compose(POSE, MOVED), noise=0.01)), seen(scan_of_room(POSE, noise=0.01, seed=1))
+def test_hessian_and_gradient_are_those_of_the_weighted_cost_by_differences(scan_of_halls, backwards, loose):
+    pose = np.array([1.5, 0.9, 0.1])
+    scans = scan_of_halls(se2.compose(pose, MOVED), noise=0.01), scan_of_halls(pose, noise=0.01, seed=1)
+    for scan in scans:
+        # Table legs, of one beam each.
+        scan.ranges[20::30] *= 0.6
+    a, b = seen(scans[0]), seen(scans[1])
     T_b_a = MOVED + (0.02, 0.01, -0.02)
     hessian, gradient = np.zeros((3, 3)), np.zeros(3)
     inliers, viewed = pairing.accumulate(
-        T_b_a, pairing.picked(a.points, a.normals, a.kinds, SURFACE, 1),
-        b.points, b.normals, b.kinds, b.first, b.increment, 0.3, 0.05, backwards, hessian, gradient, pairing.room(181),
+        T_b_a, pairing.parted(a.points, a.normals, a.kinds, loose, 1), b.points, b.normals, b.kinds, b.first,
+        b.increment, 0.3, 0.05, backwards, hessian, gradient, pairing.room(181), loose,
     )  # fmt: skip
-    pairs = plain_pairs(a, b, T_b_a, 0.3)
+    pairs = plain_pairs(a, b, T_b_a, 0.3, loose)
     # The variable is T_b_a, or its inverse.
     variable = se2.inverse(T_b_a) if backwards else T_b_a
 
     def errors(x):
-        return cost_of(pairs, a, b, se2.inverse(x) if backwards else x)
+        return np.concatenate(cost_of(pairs, a, b, se2.inverse(x) if backwards else x, backwards=backwards))
 
     jacobian = np.column_stack([(errors(variable + h) - errors(variable - h)) / 2e-6 for h in 1e-6 * np.eye(3)])
-    error = errors(variable)
+    error, apart = cost_of(pairs, a, b, T_b_a, backwards=backwards)
+    assert len(error) > 50
+    assert len(apart) > 2
     weights = 1 / (1 + (error / 0.05) ** 2) ** 2
-    assert len(error) > 100
+    # From where the beams meet b, with a kernel that is wider where they are apart.
+    ranges = np.hypot(*se2.transform_points(T_b_a, a.points[pairs[1][0]]).T)
+    width = 0.05 + 0.3 * b.increment * ranges
+    squared = apart.reshape(2, -1) ** 2
+    loosely = (0.045 / width) ** 2 / (1 + squared.sum(axis=0) / width**2) ** 2
+    weights = np.concatenate([weights, loosely, loosely])
     # The kernel's errors are in single precision: 1e-6 m at ranges of metres, hundredfold by a sum of 100 beams.
     assert hessian == pytest.approx(jacobian.T @ (weights[:, None] * jacobian), rel=1e-4, abs=1e-2)
-    assert gradient == pytest.approx(jacobian.T @ (weights * error), rel=1e-4, abs=1e-3)
+    assert gradient == pytest.approx(jacobian.T @ (weights * np.concatenate([error, apart])), rel=1e-4, abs=1e-3)
     assert inliers == np.count_nonzero(np.abs(error) < 2.5 * 0.05)
     assert viewed >= len(error)
 
@@ -154,7 +173,7 @@ def test_one_step_of_gauss_newton_takes_back_a_small_displacement(scan_of_room, 
     keyframes = keyframes_of([scan_of_room(pose, beams=361) for pose in poses], poses)
     truth = se2.relative(poses[0], poses[1])
     off = np.array([0.015, -0.01, 0.005])
-    hessian, gradient, inliers, viewed = pairing.pair(truth + off, 1, 0, *keyframes.arrays, 0.2, 0.1)
+    hessian, gradient, inliers, viewed = pairing.pair(truth + off, 1, 0, *keyframes.arrays, 0.2, 0.1, CORNER)
     reached = truth + off - np.linalg.solve(hessian, gradient)
     # Second order in a step of 2 cm and 0.3 deg, and the corners.
     assert np.hypot(*(reached - truth)[:2]) < 0.001
@@ -167,10 +186,10 @@ def test_many_pairs_are_each_what_one_pair_says(scan_of_room, keyframes_of, seve
     poses = np.array([se2.compose(POSE, part * MOVED) for part in range(4)])
     keyframes = keyframes_of([scan_of_room(pose) for pose in poses], poses)
     first, second = np.array([1, 2, 3, 3]), np.array([0, 0, 1, 2])
-    T_j_i, hessians, gradients, counts = several(poses, first, second, *keyframes.arrays, 0.2, 0.1)
+    T_j_i, hessians, gradients, counts = several(poses, first, second, *keyframes.arrays, 0.2, 0.1, CORNER)
     assert T_j_i == pytest.approx(se2.relative(poses[second], poses[first]), abs=1e-12)
     for m in range(4):
-        one = pairing.pair(T_j_i[m], first[m], second[m], *keyframes.arrays, 0.2, 0.1)
+        one = pairing.pair(T_j_i[m], first[m], second[m], *keyframes.arrays, 0.2, 0.1, CORNER)
         assert hessians[m].tolist() == one[0].tolist()
         assert gradients[m].tolist() == one[1].tolist()
         assert tuple(counts[m]) == one[2:]
@@ -206,14 +225,14 @@ def test_agreements_count_both_ways_over_all_references(scan_of_room, keyframes_
     keyframes = keyframes_of([scan_of_room(pose) for pose in poses], poses)
     points, normals, kinds, firsts, increments = keyframes.arrays
     scan, memory = seen(scan_of_room(POSE)), pairing.room(181)
-    rows = pairing.picked(scan.points, scan.normals, scan.kinds, POINT, 2)
+    rows = pairing.picked(scan.points, scan.normals, scan.kinds, ANY_KIND, 2)
     # Half a meter off, so that there is something to contradict.
     pose = POSE + (0.5, 0.5, 0)
     expected = np.zeros(2, int)
     for k in range(2):
         T = se2.relative(poses[k], pose)
         expected += pairing.agreement(T, rows, points[k], kinds[k], firsts[k], increments[k], memory)
-        back = pairing.picked(points[k], normals[k], kinds[k], POINT, 2)
+        back = pairing.picked(points[k], normals[k], kinds[k], ANY_KIND, 2)
         expected += pairing.agreement(se2.inverse(T), back, scan.points, scan.kinds, scan.first, scan.increment, memory)
     found = pairing.agreements(
         pose, scan.points, scan.normals, scan.kinds, scan.first, scan.increment,
