@@ -33,10 +33,11 @@ class Session:
 
     stamps: (N,) s. poses: (N, 3) T_map_laser. points: (N, B, 2) m in the planar laser frame, normals: (N, B, 2) unit
     or zero, kinds: (N, B) 0 no measurement, 1 point, 2 point on a surface, 4 corner; firsts, increments: (N,) rad,
-    bearing of the first beam and from beam to beam. ways: (N,) m driven until there. wheel_steps: (N, 3) step of the laser since the
-    keyframe before as the wheels say, NaN where unknown. broken: (N,) where track was lost on the way to a keyframe.
-    local_maps: (C,) how many keyframes there are when each of the C local maps begins. loops: (L, 2) which two local
-    maps are the same place, and loop_information: (L, 3, 3) of the pose of the second as seen from the first.
+    bearing of the first beam and from beam to beam. ways: (N,) m driven until there. wheel_steps: (N, 3) step of the
+    laser since the keyframe before as the wheels say, NaN where unknown. broken: (N,) where track was lost on the way
+    to a keyframe. local_maps: (C,) how many keyframes there are when each of the C local maps begins. loops: (L, 2)
+    which two local maps are the same place, and loop_information: (L, 3, 3) of the pose of the second as seen from the
+    first.
 
     The poses are those of the laser, so that another robot can go on in the map. Raises InputError where arrays do not
     fit together, or numbers are not finite or out of their range.

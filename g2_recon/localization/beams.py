@@ -34,8 +34,9 @@ _FEWEST_ON_LINE = 4
 # A line is one if its points scatter less than this across it, in metres and as a share of their scatter along it.
 _LINE_SIGMA_M = 0.03
 _LINE_SHARE = 0.17
-# A beam is on a sparsely seen wall if it is off the line through two neighbors by less than this share of the way.
-_SPARSE_SHARE = 0.04
+# A beam is on a sparsely seen wall if it is off the line through two neighbors by less than this, m; beyond them by the
+# more, up to so many times.
+_SPARSE_M, _FARTHEST_BEYOND = 0.04, 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +164,7 @@ def _on_sparse_wall(points, kinds, i):  # type: ignore[no-untyped-def]
             math.hypot(points[i, 0] - points[one, 0], points[i, 1] - points[one, 1]),
             math.hypot(points[i, 0] - points[other, 0], points[i, 1] - points[other, 1]),
         )
-        if off < _SPARSE_SHARE * max(length, away):
+        if off < _SPARSE_M * min(max(length, away), _FARTHEST_BEYOND * length):
             return True
     return False
 

@@ -52,7 +52,7 @@ _LEAST_INFORMATION = 1e-4
 _DRIFT_SHARE = 0.01
 _BROKEN_SIGMA = np.array([5.0, 5.0, 0.5])
 # Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
-_STANDING_M, _STANDING_RAD = 0.005, 0.004
+_STANDING_M, _STANDING_RAD = 0.02, 0.01
 
 # Loops are closed beside the tracking and count so many keyframes later, however long that takes: the result is the
 # same on any machine, and no scan waits unless it takes longer.

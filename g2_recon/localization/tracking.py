@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative
 from g2_recon.localization import likelihood, pairing
-from g2_recon.localization.beams import INVALID, SURFACE, Beams
+from g2_recon.localization.beams import INVALID, POINT, SURFACE, Beams
 from g2_recon.localization.keyframes import Keyframes
 
 Float = NDArray[np.float64]
@@ -41,12 +41,12 @@ _FOUND_SIGMA = np.array([0.05, 0.05, 0.1])
 _FAR_TURNS = np.radians([40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0])
 
 # Along the direction in which the surfaces hold a scan least, if they hold it with less than so many beams, it slides
-# to where all its points fit best: so far, in such steps, in a grid of its own, m. It comes to lie so exactly, m, unless
-# likelihoods differ by less than this; and m^2 away from the prediction cost so much of it, with and without odometry.
+# to where it fits best: so far, in such steps, in a grid of its own, m. It comes to lie so exactly, m, if the
+# likelihoods differ by more than this; and m^2 away from the prediction cost so much of it, with and without odometry.
 _WEAK = 10.0
 _SLIDE_M, _SLIDE_STEP_M = 0.4, 0.025
 _FINE_RESOLUTION_M, _FINE_SIGMA_M, _FINE_CELLS = 0.05, 0.06, 1000
-_SLID_SIGMA_M, _LEAST_CONTRAST = 0.02, 0.05
+_SLID_SIGMA_M, _LEAST_CONTRAST = 0.02, 0.08
 _AWAY_WITH_ODOMETRY, _AWAY_WITHOUT = 10.0, 1.0
 # Without odometry the robot is expected to move on as it did on average over the last scans; one alone errs too much.
 _STEADY = 10
@@ -122,7 +122,8 @@ class Tracker:
         if np.count_nonzero(beams.kinds == SURFACE) >= FEWEST_SURFACES:
             best = self._best(beams, last, step, [(likeliest, sigma), *predictions])
             if best.matched:
-                placement = self._slid(beams, best, guess, _AWAY_WITHOUT if step is None else _AWAY_WITH_ODOMETRY)
+                # The wheels have had their say in the match.
+                placement = self._slid(beams, best, guess if step is None else best.pose, without=step is None)
                 self._qualities.append(placement.quality)
             else:
                 placement = replace(placement, quality=best.quality, inliers=best.inliers)
@@ -228,20 +229,24 @@ class Tracker:
         start = likelihood.climb(self._grid, beams.points, beams.kinds, start, x, y, _RESOLUTION_M, _TURN, _CLIMBS)
         return self._lay(beams, start, _FOUND_SIGMA)
 
-    def _slid(self, beams: Beams, placement: Placement, guess: Float, away: float) -> Placement:
-        """Slide along the direction that surfaces hold least, to where all points fit best, on none as well as on any.
+    def _slid(self, beams: Beams, placement: Placement, guess: Float, *, without: bool) -> Placement:
+        """Slide along the direction that surfaces hold least, to where surfaces and corners fit the map best.
 
-        Such are door frames, and the far end of a corridor, of which a few beams speak. guess: (3,) where the scan is
-        expected to lie; away: what m^2 from there cost.
+        Door frames, and the far end of a corridor of which a few beams speak, tell the way along it. guess: (3,) where
+        the scan is expected to lie; without: odometry.
         """
         values, vectors = np.linalg.eigh(placement.information[:2, :2])
         if values[0] * PAIR_SIGMA_M**2 > _WEAK:
             return placement
         weak = np.ascontiguousarray(vectors[:, 0])
         expected = float((guess - placement.pose)[:2] @ weak)
+        # Beams far apart on a wall are seen wherever the robot is.
+        kinds = np.where(beams.kinds == POINT, INVALID, beams.kinds)
+        away = _AWAY_WITHOUT if without else _AWAY_WITH_ODOMETRY
+        grid, (x, y) = self._drawn_fine(), self._fine_corner
         off, contrast = likelihood.slide(
-            self._drawn_fine(), beams.points, beams.kinds, placement.pose, weak, _SLIDE_M, _SLIDE_STEP_M,
-            expected, away, self._fine_corner[0], self._fine_corner[1], _FINE_RESOLUTION_M,
+            grid, beams.points, kinds, placement.pose, weak, _SLIDE_M, _SLIDE_STEP_M, expected, away,
+            x, y, _FINE_RESOLUTION_M,
         )  # fmt: skip
         if contrast < _LEAST_CONTRAST:
             return placement

@@ -156,3 +156,15 @@ def test_beams_measured_clockwise_are_deskewed_with_their_own_times(scan_of_room
 def test_a_scan_taken_in_no_time_is_not_deskewed(scan_of_room):
     scan = scan_of_room(POSE)
     assert beams(scan, twist=TWIST, **LIMITS).points.tolist() == beams(scan, **LIMITS).points.tolist()
+
+
+def test_corners_are_told_from_walls_whose_beams_are_far_apart():
+    # A wall 1 m to the left, seen up to 6 deg of its direction, and table legs before it.
+    bearings = np.radians(np.arange(6, 90, 1.0))
+    ranges = (1.0 / np.sin(bearings)).astype(np.float32)
+    legs = np.array([4, 12, 40])
+    ranges[legs] *= 0.8
+    seen = beams(Scan(0.0, ranges, bearings[0], np.radians(1.0)), **LIMITS)
+    assert np.flatnonzero(seen.kinds == CORNER).tolist() == legs.tolist()
+    # Far along the wall its beams are 0.3 m and more apart.
+    assert np.count_nonzero(seen.kinds[:8] == POINT) > 5

@@ -116,3 +116,25 @@ def test_a_search_beyond_the_grid_finds_little_and_stays_in_its_window(scan_of_r
     assert 0 <= score < 0.5
     assert np.abs(found - guess)[:2].max() <= 0.2 + 1e-9
     assert abs(found[2] - guess[2]) <= 6 * TURN + 1e-9
+
+
+@pytest.mark.parametrize("off", [-0.17, 0.0, 0.06, 0.3])
+def test_a_scan_slides_along_a_line_to_where_it_fits(scan_of_room, off):
+    scan = scan_of_room(POSE, beams=361)
+    grid, b = drawn(scan, POSE), seen(scan)
+    direction = np.array([math.cos(1.0), math.sin(1.0)])
+    start = POSE - (*(off * direction), 0)
+    settings = 0.4, 0.025, off, 0.0, *CORNER, RESOLUTION
+    found, contrast = likelihood.slide(grid, b.points, b.kinds, start, direction, *settings)
+    # A cell.
+    assert found == pytest.approx(off, abs=RESOLUTION)
+    assert contrast > 0.3
+
+
+def test_where_nothing_fits_better_a_scan_slides_to_where_it_is_expected(scan_of_room):
+    b = seen(scan_of_room(POSE))
+    nothing = np.zeros((50, 50), np.uint8)
+    settings = 0.4, 0.025, 0.15, 1.0, *CORNER, RESOLUTION
+    found, contrast = likelihood.slide(nothing, b.points, b.kinds, POSE, np.array([1.0, 0.0]), *settings)
+    assert found == pytest.approx(0.15, abs=1e-9)
+    assert contrast == 0.0

@@ -210,7 +210,7 @@ def test_standing_still_for_long_adds_nothing_to_memory(scan_of_room):
     before = sizes()
     for i in range(2000):
         localizer.process(still[i % 10])
-    # A scan that noise puts 5 mm from the one before is kept.
+    # A scan that noise puts 2 cm from the one before is kept.
     assert np.subtract(sizes(), before).max() <= 20
     assert sizes()[9] == before[9]
 
