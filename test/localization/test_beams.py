@@ -167,4 +167,4 @@ def test_corners_are_told_from_walls_whose_beams_are_far_apart():
     seen = beams(Scan(0.0, ranges, bearings[0], np.radians(1.0)), **LIMITS)
     assert np.flatnonzero(seen.kinds == CORNER).tolist() == legs.tolist()
     # Far along the wall its beams are 0.3 m and more apart.
-    assert np.count_nonzero(seen.kinds[:8] == POINT) > 5
+    assert (seen.kinds[:4] == POINT).all()
