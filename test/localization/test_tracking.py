@@ -109,6 +109,37 @@ def test_along_a_bare_corridor_only_the_wheels_inform(scan_of_corridor, keyframe
     assert information[1, 1] > 10 * information[0, 0]
 
 
+@pytest.mark.parametrize("turn", [0.9, -1.2, 2.1])
+@pytest.mark.parametrize("wheels", [True, False], ids=["wheels", "no wheels"])
+def test_a_turn_that_nothing_foretold_is_searched_for(scan_of_room, keyframes_of, turn, wheels):
+    # All around, so that both scans see the same; where they do not, nothing can be known.
+    settings = {"beams": 360, "first": -np.pi, "increment": np.radians(1.0)}
+    truth = drive(12)
+    tracker = Tracker(keyframes_of([scan_of_room(pose, **settings) for pose in truth], truth))
+    pose = se2.compose(truth[-1], (0.05, 0.0, turn))
+    placement = tracker.track(seen(scan_of_room(pose, **settings)), truth[-1], np.zeros(3) if wheels else None)
+    assert placement.matched
+    assert off(placement, pose) < 0.02
+    assert abs(se2.wrap_angle(placement.pose[2] - pose[2])) < 0.01
+
+
+def test_niches_hold_a_scan_along_a_corridor_without_wheels(scan_of_halls, drive_along, keyframes_of):
+    truth = drive_along([(1, 1), (12, 1)], step=0.1)
+    keyframes = keyframes_of(
+        [scan_of_halls(pose, noise=0.01, seed=i) for i, pose in enumerate(truth[:21:2])], truth[:21:2]
+    )
+    tracker = Tracker(keyframes)
+    last = truth[20]
+    for i in range(21, 101):
+        scan = seen(scan_of_halls(truth[i], noise=0.01, seed=i))
+        last = tracker.track(scan, last, None).pose
+        if i % 3 == 0:
+            keyframes.add(scan, last)
+            tracker.moved()
+    # Of 8 m, past three niches.
+    assert np.hypot(*(last - truth[100])[:2]) < 0.15
+
+
 def test_keyframes_before_the_segment_do_not_count(room, scan_of_room):
     tracker, truth = room
     tracker.segment = 12
