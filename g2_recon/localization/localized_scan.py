@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,3 +26,14 @@ class LocalizedScan:
     inliers: float
     matched: bool
     keyframe: bool
+
+    @property
+    def weak_axis(self) -> tuple[float, float, float]:
+        """How the position is known least: direction in the map, rad in [-pi/2, pi/2), sigma along and across it, m.
+
+        Along a bare corridor, that is its direction.
+        """
+        values, vectors = np.linalg.eigh(self.covariance[:2, :2])
+        across, along = np.sqrt(np.maximum(values, 0.0))
+        direction = math.atan2(vectors[1, 1], vectors[0, 1])
+        return (direction + math.pi / 2) % math.pi - math.pi / 2, float(along), float(across)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import deque
 from collections.abc import Sequence
@@ -74,6 +75,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._last_stamp = Time()
         self._map_changed = False
         self._localized = 0
+        self._latest: LocalizedScan | None = None
         self._connect()
 
     def _connect(self) -> None:
@@ -106,6 +108,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             "localized scans": self._localized,
             "scans that did not match the map": 0 if self._localizer is None else self._localizer.unmatched,
             "scans that wait for odometry": len(self._waiting),
+            "position is known least": "" if self._latest is None else _weak_axis(self._latest),
         }
 
     def _on_odometry(self, message: Odometry) -> None:
@@ -165,6 +168,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         odometry = None if T_odom_base is None else se2.from_se3(T_odom_base)
         result = self._localizer.process(scan, odometry)
         self._localized += 1
+        self._latest = result
         if result.keyframe:
             self._grid.add(scan)
             self._map_changed = True
@@ -282,6 +286,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             write_session(folder / "session.npz", session)
             wrote += f", session.npz ({len(session)} keyframes)"
         return f"wrote {wrote} to {folder}"
+
+
+def _weak_axis(scan: LocalizedScan) -> str:
+    direction, along, across = scan.weak_axis
+    return f"along {math.degrees(direction):.0f} deg in the map: sigma {along:.3f} m, across it {across:.3f} m"
 
 
 def main(args: Sequence[str] | None = None) -> int:

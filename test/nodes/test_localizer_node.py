@@ -119,6 +119,7 @@ def test_odometry_leads_where_the_laser_sees_nothing(drive, room_scan):
         room.scans.publish(blind)
     room.wait_for_poses(3)
     np.testing.assert_allclose(planar(room.poses[-1]), (0.5, 0, 0), atol=1e-6)
+    room.wait_until(lambda: "deg in the map: sigma" in (value(diagnostics, "position is known least") or ""))
 
 
 def test_broken_odometry_is_dropped_and_counted(drive):
