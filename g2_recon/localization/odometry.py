@@ -14,7 +14,8 @@ from g2_recon.geometry.se2_kernels import compose, relative
 Float = NDArray[np.float64]
 
 # Odometry that claims more than this between two scans has jumped: no robot indoors is that fast.
-_JUMP_M = 0.5
+# Where stamps do not tell how long it took, as in logs without time, it may be a long way.
+_JUMP_M, _JUMP_WITHOUT_TIME_M = 0.5, 3.0
 _FASTEST_M_S = 5.0
 
 
@@ -40,7 +41,8 @@ class OdometrySteps:
             return None
         step = relative(compose(last, self._T_base_laser), compose(measured, self._T_base_laser))
         moved = relative(last, measured)
-        if math.hypot(moved[0], moved[1]) > _JUMP_M + _FASTEST_M_S * elapsed:
+        farthest = _JUMP_M + _FASTEST_M_S * elapsed if elapsed else _JUMP_WITHOUT_TIME_M
+        if math.hypot(moved[0], moved[1]) > farthest:
             self.jumps += 1
             return None
         return np.asarray(step)

@@ -31,8 +31,8 @@ def test_the_step_is_that_of_the_laser_and_not_of_the_base():
     assert np.hypot(*steps[1][:2]) == pytest.approx(2 * np.hypot(0.4, 0.1) * np.sin(0.1))
 
 
-@pytest.mark.parametrize(("elapsed", "farthest"), [(0.0, 0.5), (0.1, 1.0), (2.0, 10.5)])
-def test_a_step_is_a_jump_beyond_half_a_metre_and_5_metres_a_second(elapsed, farthest):
+@pytest.mark.parametrize(("elapsed", "farthest"), [(0.0, 3.0), (0.1, 1.0), (2.0, 10.5)])
+def test_a_step_is_a_jump_beyond_half_a_metre_and_5_metres_a_second_and_3_metres_without_time(elapsed, farthest):
     stamps = [100.0, 100.0 + elapsed]
     near, near_steps = steps_of([(0, 0, 0), (0, farthest - 0.01, 0)], stamps=stamps)
     far, far_steps = steps_of([(0, 0, 0), (0, farthest + 0.01, 0)], stamps=stamps)
