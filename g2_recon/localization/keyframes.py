@@ -74,23 +74,21 @@ class Keyframes:
 
     def fill(self, poses: Float, arrays: tuple[NDArray[np.generic], ...]) -> None:
         """Replace all by poses (N, 3) and arrays as in `arrays`."""
-        points, normals, kinds, firsts, increments = arrays
-        count, width = kinds.shape
+        count, width = arrays[2].shape
         self._allocate(max(count, 1), max(width, 1))
         self._count = count
+        self._put(poses, arrays)
+
+    def _grow(self, rows: int, beams: int) -> None:
+        poses, arrays = self.poses, self.arrays
+        self._allocate(rows, beams)
+        self._put(poses, arrays)
+
+    def _put(self, poses: Float, arrays: tuple[NDArray[np.generic], ...]) -> None:
+        points, normals, kinds, firsts, increments = arrays
+        count, width = kinds.shape
         self._poses[:count] = poses
         self._points[:count, :width] = points
         self._normals[:count, :width] = normals
         self._kinds[:count, :width] = kinds
         self._firsts[:count], self._increments[:count] = firsts, increments
-
-    def _grow(self, rows: int, beams: int) -> None:
-        old = self._poses, self._points, self._normals, self._kinds, self._firsts, self._increments
-        width, used = self._kinds.shape[1], self._count
-        self._allocate(rows, beams)
-        self._poses[:used] = old[0][:used]
-        self._points[:used, :width] = old[1][:used]
-        self._normals[:used, :width] = old[2][:used]
-        self._kinds[:used, :width] = old[3][:used]
-        self._firsts[:used] = old[4][:used]
-        self._increments[:used] = old[5][:used]

@@ -24,7 +24,7 @@ from g2_recon.localization import branch_and_bound, pose_graph
 from g2_recon.localization.beams import CORNER, INVALID
 from g2_recon.localization.branch_and_bound import Pyramid
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.pairing import add_turned, agreements, lay, parted, room
+from g2_recon.localization.pairing import add_levered, add_turned, agreements, lay, parted, room
 from g2_recon.localization.point_map import first_in_each_cell
 
 Float = NDArray[np.float64]
@@ -374,7 +374,7 @@ def register(  # type: ignore[no-untyped-def]
             )  # fmt: skip
             inliers += more
             seen += viewed
-            _add_levered(one, pull, at[0] - pose[0], at[1] - pose[1], hessian, gradient)
+            add_levered(one, pull, at[0] - pose[0], at[1] - pose[1], hessian, gradient)
         if seen < _FEWEST_SEEN:
             return pose, 0.0, hessian, 0, 0
         for u in range(3):
@@ -404,24 +404,3 @@ def _near(keyframes, poses, at):  # type: ignore[no-untyped-def]
             near[count] = k
             count += 1
     return near[:count]
-
-
-@numba.njit(cache=True, nogil=True)
-def _add_levered(one, pull, x, y, hessian, gradient):  # type: ignore[no-untyped-def]
-    """Add hessian (3, 3) and gradient (3,) of a step at x, y from the origin to those of a step of the origin."""
-    # d(step there) / d(step here) = [[1, 0, -y], [0, 1, x], [0, 0, 1]].
-    a, b, d = one[0, 0], one[0, 1], one[1, 1]
-    e = one[0, 2] - y * a + x * b
-    f = one[1, 2] - y * b + x * d
-    hessian[0, 0] += a
-    hessian[0, 1] += b
-    hessian[1, 0] += b
-    hessian[1, 1] += d
-    hessian[0, 2] += e
-    hessian[2, 0] += e
-    hessian[1, 2] += f
-    hessian[2, 1] += f
-    hessian[2, 2] += one[2, 2] + x * one[1, 2] - y * one[0, 2] - y * e + x * f
-    gradient[0] += pull[0]
-    gradient[1] += pull[1]
-    gradient[2] += pull[2] - y * pull[0] + x * pull[1]

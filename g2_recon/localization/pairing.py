@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry.se2_kernels import relative, solve_3x3, wrap
+from g2_recon.geometry.se2_kernels import inverse, relative, solve_3x3, wrap
 from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, SURFACE
 
 Float = NDArray[np.float64]
@@ -318,7 +318,7 @@ def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigm
         distance, sigma, False, hessian, gradient, memory, loose,
     )  # fmt: skip
     more, seen_back = accumulate(
-        relative(T_j_i, np.zeros(3)), parted(points[j], normals[j], kinds[j], loose, 1),
+        inverse(T_j_i), parted(points[j], normals[j], kinds[j], loose, 1),
         points[i], normals[i], kinds[i], firsts[i], increments[i],
         distance, sigma, True, hessian, gradient, memory, loose,
     )  # fmt: skip
@@ -365,6 +365,27 @@ def add_turned(hessian, gradient, yaw, total, pull):  # type: ignore[no-untyped-
     pull[0] += c * gradient[0] - s * gradient[1]
     pull[1] += s * gradient[0] + c * gradient[1]
     pull[2] += gradient[2]
+
+
+@numba.njit(cache=True, nogil=True)
+def add_levered(one, pull, x, y, hessian, gradient):  # type: ignore[no-untyped-def]
+    """Add hessian (3, 3) and gradient (3,) of a step at x, y from the origin to those of a step of the origin."""
+    # d(step there) / d(step here) = [[1, 0, -y], [0, 1, x], [0, 0, 1]].
+    a, b, d = one[0, 0], one[0, 1], one[1, 1]
+    e = one[0, 2] - y * a + x * b
+    f = one[1, 2] - y * b + x * d
+    hessian[0, 0] += a
+    hessian[0, 1] += b
+    hessian[1, 0] += b
+    hessian[1, 1] += d
+    hessian[0, 2] += e
+    hessian[2, 0] += e
+    hessian[1, 2] += f
+    hessian[2, 1] += f
+    hessian[2, 2] += one[2, 2] + x * one[1, 2] - y * one[0, 2] - y * e + x * f
+    gradient[0] += pull[0]
+    gradient[1] += pull[1]
+    gradient[2] += pull[2] - y * pull[0] + x * pull[1]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -492,12 +513,12 @@ def agreement(T_b_a, rows, points, kinds, first, increment, memory):  # type: ig
 
 
 @numba.njit(cache=True, nogil=True)
-def agreements(  # type: ignore[no-untyped-def]
+def agreements_each_way(  # type: ignore[no-untyped-def]
     pose, scan_points, scan_normals, scan_kinds, first, increment,
     references, poses, points, normals, kinds, firsts, increments, step,
 ):  # fmt: skip
-    """Both ways, against several keyframes: points seen again, points contradicted."""
-    same = against = 0
+    """`agreement` of a scan at a pose (3,) with several keyframes, then of them with the scan: two counts each."""
+    same = against = still = gone = 0
     rows = picked(scan_points, scan_normals, scan_kinds, ANY_KIND, step)
     memory = room(max(len(scan_kinds), kinds.shape[1]))
     for k in references:
@@ -506,6 +527,19 @@ def agreements(  # type: ignore[no-untyped-def]
         against += b
         back = picked(points[k], normals[k], kinds[k], ANY_KIND, step)
         a, b = agreement(relative(pose, poses[k]), back, scan_points, scan_kinds, first, increment, memory)
-        same += a
-        against += b
-    return same, against
+        still += a
+        gone += b
+    return same, against, still, gone
+
+
+@numba.njit(cache=True, nogil=True)
+def agreements(  # type: ignore[no-untyped-def]
+    pose, scan_points, scan_normals, scan_kinds, first, increment,
+    references, poses, points, normals, kinds, firsts, increments, step,
+):  # fmt: skip
+    """Both ways, against several keyframes: points seen again, points contradicted."""
+    same, against, still, gone = agreements_each_way(
+        pose, scan_points, scan_normals, scan_kinds, first, increment,
+        references, poses, points, normals, kinds, firsts, increments, step,
+    )  # fmt: skip
+    return same + still, against + gone

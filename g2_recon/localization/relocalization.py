@@ -23,7 +23,7 @@ from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, likelihood
 from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, Beams
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.pairing import agreement, lay, parted, picked, room
+from g2_recon.localization.pairing import add_levered, agreement, agreements_each_way, lay, parted, picked, room
 from g2_recon.localization.point_map import first_in_each_cell
 from g2_recon.localization.tracking import PAIR_SIGMA_M
 
@@ -353,7 +353,7 @@ def lay_group(  # type: ignore[no-untyped-def]
             seen += viewed
             one /= len(chosen)
             pull /= len(chosen)
-            _add_levered(one, pull, at[0] - pose[0], at[1] - pose[1], hessian, gradient)
+            add_levered(one, pull, at[0] - pose[0], at[1] - pose[1], hessian, gradient)
         for u in range(3):
             hessian[u, u] += 1e-3
         pose -= solve_3x3(hessian, gradient)
@@ -367,29 +367,14 @@ def judge_group(  # type: ignore[no-untyped-def]
     references, poses, points, normals, kinds, firsts, increments,
 ):  # fmt: skip
     """How many points of scans, laid as by `lay_group`, agree with keyframes, how many contradict them; and back."""
-    memory = room(max(kinds.shape[1], scan_kinds.shape[1]))
     same = against = still = gone = 0
     for m in range(len(group)):
-        at = compose(pose, group[m])
-        rows = picked(scan_points[m], scan_normals[m], scan_kinds[m], ANY_KIND, 2)
-        for k in references[m]:
-            if k < 0:
-                continue
-            more, less = agreement(relative(poses[k], at), rows, points[k], kinds[k], firsts[k], increments[k], memory)
-            same += more
-            against += less
-            back = picked(points[k], normals[k], kinds[k], ANY_KIND, 2)
-            more, less = agreement(
-                relative(at, poses[k]), back, scan_points[m], scan_kinds[m], scan_firsts[m], scan_increments[m], memory
-            )
-            still += more
-            gone += less
+        one = agreements_each_way(
+            compose(pose, group[m]), scan_points[m], scan_normals[m], scan_kinds[m], scan_firsts[m],
+            scan_increments[m], references[m][references[m] >= 0], poses, points, normals, kinds, firsts, increments, 2,
+        )  # fmt: skip
+        same += one[0]
+        against += one[1]
+        still += one[2]
+        gone += one[3]
     return same, against, still, gone
-
-
-@numba.njit(cache=True, nogil=True)
-def _add_levered(one, pull, x, y, hessian, gradient):  # type: ignore[no-untyped-def]
-    """Add hessian (3, 3) and gradient (3,) of a step at x, y from the origin to those of a step of the origin."""
-    lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
-    hessian += lever.T @ one @ lever
-    gradient += lever.T @ pull
