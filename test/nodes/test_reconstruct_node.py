@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from threading import Event
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from g2_recon.geometry.cloud import Cloud
 from g2_recon.nodes import conversions
 from g2_recon.nodes.reconstruct_node import ReconstructNode
 from g2_recon.nodes.ros import LATCHED
+from g2_recon.reconstruction import reconstructor
 from g2_recon.recording.clouds import read_cloud
 from g2_recon.recording.meshes import read_mesh
 
@@ -96,17 +99,25 @@ def test_without_a_cloud_the_answer_is_no(node):
     assert not reconstruct(node()).success
 
 
-def test_clouds_are_taken_in_and_a_second_request_is_refused_during_a_reconstruction(node):
-    robot = node("-p", "mode:=paper", "-p", "passes:=50000")
+def test_clouds_are_taken_in_and_a_second_request_is_refused_during_a_reconstruction(node, monkeypatch):
+    begun, may_end = Event(), Event()
+
+    def reconstruct_when_told(cloud, *arguments, **options):
+        begun.set()
+        assert may_end.wait(60), "never told to go on"
+        return reconstructor.reconstruct(cloud, *arguments, **options)
+
+    monkeypatch.setattr("g2_recon.nodes.reconstruct_node.reconstruct", reconstruct_when_told)
+    robot = node()
     robot.send(wall(2000))
     robot.wait_for_points(2000)
     first = robot.call_async(Trigger, "reconstruct_node/reconstruct")
-    robot.wait_until(lambda: value(robot.diagnostics, "reconstruction") not in (None, "idle"))
+    robot.wait_until(begun.is_set)
     second = reconstruct(robot)
     robot.send(wall(100, seed=1))
     robot.wait_for_points(2100)
-    assert not first.done(), "the reconstruction was over too soon to show anything"
     assert not second.success and "is being made" in second.message
+    may_end.set()
     robot.wait_until(first.done)
     assert first.result().success and first.result().message.startswith("2000 points, ")
 
