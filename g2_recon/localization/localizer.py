@@ -145,7 +145,7 @@ class Localizer:
         placement = self._place(seen, step)
         self._twist = _velocity(relative(self._last, placement.pose), elapsed)
         self._stamp = scan.stamp
-        self._wheels_since = compose(self._wheels_since, _UNKNOWN if step is None else step)
+        self._wheels_since = compose(self._wheels_since, _UNKNOWN if step is None or placement.wheels_err else step)
         self._last = placement.pose
         keyframe = self._grow_map(seen, placement)
         self._remember(scan.stamp, seen, placement.pose, keyframe=keyframe)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative
 from g2_recon.localization import likelihood, pairing
-from g2_recon.localization.beams import INVALID, POINT, SURFACE, Beams
+from g2_recon.localization.beams import CORNER, INVALID, SURFACE, Beams
 from g2_recon.localization.keyframes import Keyframes
 
 Float = NDArray[np.float64]
@@ -47,6 +47,9 @@ _WEAK = 10.0
 _SLIDE_M, _SLIDE_STEP_M = 0.4, 0.025
 _FINE_RESOLUTION_M, _FINE_SIGMA_M, _FINE_CELLS = 0.05, 0.06, 1000
 _SLID_SIGMA_M, _LEAST_CONTRAST = 0.02, 0.08
+# Beams farther apart than this, m, on a wall that runs along that direction (sine between them less than so much) say
+# nothing about it.
+_DENSE_M, _ALONG = 0.1, 0.5
 _AWAY_WITH_ODOMETRY, _AWAY_WITHOUT = 10.0, 1.0
 # Without odometry the robot is expected to move on as it did on average over the last scans; one alone errs too much.
 _STEADY = 10
@@ -63,8 +66,10 @@ _GOOD, _FAIR, _AS_BEFORE, _MEMORY = 0.95, 0.85, 0.05, 20
 LEAST_QUALITY = 0.6
 # Another prediction has to be better by this than one that is likelier, or by this after a mere search.
 _MARGIN, _SEARCH_MARGIN, _INLIER_MARGIN = 0.08, 0.02, 0.1
-# A match is not searched for where it lies within so many sigma of where the wheels say.
-_LIKELY_SIGMAS = 2.0
+# What the wheels say of a step is right within this, m and rad, and this share of the way and of the turn. A match is
+# not searched for where it lies within so many sigma of it; the wheels are wrong where it lies so many off.
+_WHEEL_SIGMA, _WHEEL_SHARE = (0.02, 0.02, 0.05), (0.1, 0.1, 0.2)
+_LIKELY_SIGMAS, _DOUBTED_SIGMAS = 2.0, 1.0
 # Over so many steps odometry may come late: it stands still while the robot drives, and then jumps.
 _LATE = (2, 3, 4, 6, 8, 12)
 FEWEST_SURFACES = 10
@@ -77,6 +82,7 @@ class Placement:
 
     pose: (3,) T_map_laser. information: (3, 3) of the match and the prediction. quality: share of agreement, 0 to 1.
     inliers: share of the beams in view of the references that have a partner. matched: whether it is believed.
+    wheels_err: whether it is believed although the wheels say otherwise.
     """
 
     pose: Float
@@ -84,6 +90,7 @@ class Placement:
     quality: float
     inliers: float
     matched: bool
+    wheels_err: bool = False
 
 
 class Tracker:
@@ -125,6 +132,8 @@ class Tracker:
                 # The wheels have had their say in the match.
                 placement = self._slid(beams, best, guess if step is None else best.pose, without=step is None)
                 self._qualities.append(placement.quality)
+                if step is not None and not _near(placement.pose, guess, _DOUBTED_SIGMAS * _wheel_sigma(step)):
+                    placement = replace(placement, wheels_err=True)
             else:
                 placement = replace(placement, quality=best.quality, inliers=best.inliers)
         found = relative(last, placement.pose)
@@ -144,7 +153,7 @@ class Tracker:
                 return best
         else:
             best, margin = self._lay(beams, guess, sigma, few=True), _SEARCH_MARGIN
-            if self._good(best) and _near(best.pose, guess, sigma):
+            if self._good(best) and _near(best.pose, guess, _LIKELY_SIGMAS * _wheel_sigma(step)):
                 return best
             others = predictions
         for predicted, uncertainty in others:
@@ -170,8 +179,9 @@ class Tracker:
     def _predictions(self, step: Float | None) -> Iterator[tuple[Float, Float]]:
         """Steps (3,) since the last scan with their sigma (3,), the likeliest first."""
         if step is not None:
-            way, turn = math.hypot(step[0], step[1]), abs(step[2])
-            yield step, np.array([0.02 + 0.1 * way, 0.02 + 0.1 * way, 0.05 + 0.2 * turn])
+            # Wheels that stand still at once, slip or come late are not worth more than the speed that they contradict.
+            sigma = _wheel_sigma(step)
+            yield step, np.hypot(sigma, step - self._velocity) if self._history else sigma
         way, turn = math.hypot(self._velocity[0], self._velocity[1]), abs(self._velocity[2])
         yield self._velocity, np.array([0.1 + 0.1 * way, 0.1 + 0.1 * way, 0.1 + 0.2 * turn])
         unsure = np.array([0.1, 0.1, 0.2])
@@ -240,8 +250,7 @@ class Tracker:
             return placement
         weak = np.ascontiguousarray(vectors[:, 0])
         expected = float((guess - placement.pose)[:2] @ weak)
-        # Beams far apart on a wall are seen wherever the robot is.
-        kinds = np.where(beams.kinds == POINT, INVALID, beams.kinds)
+        kinds = np.where(_telling(beams, weak, placement.pose[2]), beams.kinds, INVALID)
         away = _AWAY_WITHOUT if without else _AWAY_WITH_ODOMETRY
         grid, (x, y) = self._drawn_fine(), self._fine_corner
         off, contrast = likelihood.slide(
@@ -281,10 +290,29 @@ class Tracker:
         self._drawn = True
 
 
-def _near(pose: Float, guess: Float, sigma: Float) -> bool:
-    """Whether a pose (3,) is where a guess with this sigma (3,) lets one expect it."""
-    off = relative(guess, pose)
-    return bool((np.abs(off) <= _LIKELY_SIGMAS * sigma).all())
+def _telling(beams: Beams, weak: Float, yaw: float) -> NDArray[np.bool_]:
+    """Mask (B,) of the beams of a scan at a yaw that can tell how far the laser is along a direction (2,) of the map.
+
+    Beams far apart on a wall along that direction hit it at the same bearings wherever the robot is: they would hold it
+    where it was.
+    """
+    # From beam to beam along the wall, m: r d(bearing) over the cosine between beam and normal.
+    across = np.abs((beams.points * beams.normals).sum(axis=1))
+    apart = (beams.points**2).sum(axis=1) * beams.increment > _DENSE_M * across
+    along = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]).T @ weak
+    bare = apart & (np.abs(beams.normals @ along) < _ALONG)
+    return (beams.kinds == CORNER) | ((beams.kinds == SURFACE) & ~bare)
+
+
+def _wheel_sigma(step: Float) -> Float:
+    """Sigma (3,) of what the wheels say of a step (3,)."""
+    way, turn = math.hypot(step[0], step[1]), abs(step[2])
+    return np.array(_WHEEL_SIGMA) + np.array(_WHEEL_SHARE) * (way, way, turn)
+
+
+def _near(pose: Float, guess: Float, most: Float) -> bool:
+    """Whether a pose (3,) is no farther from a guess than this (3,)."""
+    return bool((np.abs(relative(guess, pose)) <= most).all())
 
 
 def _fits_better(one: Placement, other: Placement) -> bool:

@@ -109,6 +109,16 @@ def test_along_a_bare_corridor_only_the_wheels_inform(scan_of_corridor, keyframe
     assert information[1, 1] > 10 * information[0, 0]
 
 
+def test_wheels_that_stand_still_while_the_robot_drives_do_not_hold_it_back_and_are_said_to_err(room, scan_of_room):
+    tracker, truth = room
+    last = tracker.track(seen(scan_of_room(truth[12])), truth[11], STEP)
+    assert not last.wheels_err
+    pose = se2.compose(truth[12], STEP)
+    placement = tracker.track(seen(scan_of_room(pose)), last.pose, np.zeros(3))
+    assert placement.matched and placement.wheels_err
+    assert off(placement, pose) < 0.005
+
+
 @pytest.mark.parametrize("turn", [0.9, -1.2, 2.1])
 @pytest.mark.parametrize("wheels", [True, False], ids=["wheels", "no wheels"])
 def test_a_turn_that_nothing_foretold_is_searched_for(scan_of_room, keyframes_of, turn, wheels):
