@@ -16,7 +16,7 @@ from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.se2_kernels import carried, compose, inverse_3x3, relative
+from g2_recon.geometry.se2_kernels import compose, inverse_3x3, relative
 from g2_recon.geometry.session import Session
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
@@ -28,6 +28,7 @@ from g2_recon.localization.odometry import OdometrySteps
 from g2_recon.localization.point_map import first_in_each_cell
 from g2_recon.localization.smoothing import Smoother
 from g2_recon.localization.tracking import FEWEST_SURFACES, Placement, Tracker
+from g2_recon.localization.uncertainty import Uncertainty
 from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]
@@ -46,11 +47,8 @@ _BREAK_WAY_M = 300.0
 _LONGEST_STEP_S = 1.0
 _FASTEST = np.array([5.0, 5.0, 5.0])
 _UNKNOWN = np.full(3, np.nan)
-# A direction in which nothing is known has this information; how much of the error of a match stays in the map; how
-# unsure the place is where track was lost, m, m, rad.
+# A direction in which nothing is known has this information.
 _LEAST_INFORMATION = 1e-4
-_DRIFT_SHARE = 0.01
-_BROKEN_SIGMA = np.array([5.0, 5.0, 0.5])
 # Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
 _STANDING_M, _STANDING_RAD = 0.02, 0.01
 
@@ -64,7 +62,7 @@ class _Closing(NamedTuple):
     """Loops that are being closed: at how many keyframes they count, and what LoopCloser.handle will answer."""
 
     due: int
-    moved: Future[Float | None]
+    moved: Future[tuple[Float, Float] | None]
 
 
 class Localizer:
@@ -110,7 +108,7 @@ class Localizer:
         self._stamp = -math.inf
         self._twist: Float = np.zeros(3)
         self._lost = 0
-        self._keyframe_covariance: Float = np.zeros((3, 3))
+        self._uncertainty = Uncertainty(self._keyframes)
         self.unmatched = 0
 
     @property
@@ -152,7 +150,7 @@ class Localizer:
         # A loop that was closed moves the present pose, too.
         if keyframe and self._close_loops():
             self._last = self._keyframes.poses[-1].copy()
-        covariance = self._uncertainty(placement, keyframe=keyframe)
+        covariance = self._covariance(placement)
         pose = compose(self._last, self._T_laser_base)
         if self._keep_scans:
             self._causal.append(pose)
@@ -198,27 +196,16 @@ class Localizer:
         self._ways.append(way + (self._ways[-1] if self._ways else 0.0))
         self._broken.append(broken)
         self._smoother.add(self._wheel_steps[-1], self._tracker.segment)
+        wheels = not np.isnan(self._wheel_steps[-1]).any()
+        self._uncertainty.add(self._smoother.latest(), wheels=wheels, broken=broken)
+        self._tracker.pair_sigma = self._uncertainty.pair_sigma
         self._tracker.moved()
         self._last = self._keyframes.poses[-1].copy()
 
-    def _uncertainty(self, placement: Placement, *, keyframe: bool) -> Float:
-        """Covariance (3, 3) of the present pose in the map frame: of the match, and of the keyframe it hangs on.
-
-        The place of a keyframe in the map is as unsure as that of the one before, plus a share of its own match, which
-        it shares with the keyframes around it. Closed loops, which would make it surer again, are not counted.
-        """
+    def _covariance(self, placement: Placement) -> Float:
+        """Covariance (3, 3) of the present pose in the map frame: of the match, and of the keyframe it hangs on."""
         match = np.asarray(inverse_3x3(placement.information + _LEAST_INFORMATION * np.eye(3)))
-        if self._segment_is_empty:
-            return match
-        if keyframe and len(self._keyframes) > 1:
-            grown = np.diag(_BROKEN_SIGMA**2) if self._broken[-1] else _DRIFT_SHARE * match
-            self._keyframe_covariance = self._carried(self._keyframe_covariance, -2) + grown
-        return self._carried(self._keyframe_covariance, -1) + match
-
-    def _carried(self, covariance: Float, keyframe: int) -> Float:
-        """A covariance (3, 3) of a keyframe's pose as that of the present pose, were it rigidly connected."""
-        x, y, _ = self._last - self._keyframes.poses[keyframe]
-        return np.asarray(carried(covariance, x, y))
+        return match if self._segment_is_empty else self._uncertainty.seen_from_latest(self._last) + match
 
     def _remember(self, stamp: float, seen: Beams, pose: Float, *, keyframe: bool) -> None:
         if self._segment_is_empty:
@@ -245,20 +232,30 @@ class Localizer:
             return moved
         moved |= self._take_loops()
         self._map_begins = last
-        arguments = self._keyframes.snapshot(), first, last, self._ways[(first + last) // 2]
+        arguments = self._keyframes.snapshot(), first, last, self._ways[(first + last) // 2], self._drift(first, last)
         if self._config.loop_closure:
-            self._closing = _Closing(count + _CLOSED_AFTER, _BACKGROUND.submit(self._loops.handle, *arguments))
+            answer = _BACKGROUND.submit(self._loops.handle, *arguments, self._uncertainty.pair_sigma)
+            self._closing = _Closing(count + _CLOSED_AFTER, answer)
         else:
             self._loops.add(*arguments)
         return moved
 
+    def _drift(self, first: int, last: int) -> Float | None:
+        """Covariance (3, 3) of a new local map of keyframes from `first` to before `last`, as seen from the latest."""
+        if not self._loops.maps:
+            return None
+        return self._uncertainty.between(self._loops.maps[-1].reference, (first + last) // 2)
+
     def _take_loops(self) -> bool:
         """Wait for the loops that are being closed and move the map as they say; whether that has moved it."""
         closing, self._closing = self._closing, None
-        before = None if closing is None else closing.moved.result()
-        if before is None:
+        answer = None if closing is None else closing.moved.result()
+        if answer is None:
             return False
+        before, covariance = answer
         self._follow(before)
+        self._uncertainty.drift_scale = self._loops.drift_scale
+        self._uncertainty.take_back(self._loops.maps[-1].reference, covariance)
         return True
 
     def _finish_local_map(self, fewest: int = _FEWEST_KEYFRAMES) -> int | None:
@@ -268,7 +265,7 @@ class Localizer:
         if last - first < fewest:
             return None
         self._map_begins = last
-        return self._loops.add(self._keyframes, first, last, self._ways[(first + last) // 2])
+        return self._loops.add(self._keyframes, first, last, self._ways[(first + last) // 2], self._drift(first, last))
 
     def _follow(self, before: Float) -> None:
         """Move the keyframes as the local maps were moved from their poses (C, 3) before."""
@@ -321,6 +318,7 @@ class Localizer:
         """In place of those that there are; a new segment begins after them."""
         arrays = session.points, session.normals, session.kinds, session.firsts, session.increments
         self._keyframes.fill(session.poses, arrays)
+        self._uncertainty.fill(len(session))
         self._keyframe_stamps = session.stamps.tolist()
         self._tracker.segment = len(session)
 

@@ -57,6 +57,11 @@ _RIVAL = 0.85
 _AMBIGUOUS = 1e-5
 
 _LOOP_SIGMA_M, _LOOP_SIGMA_RAD = 0.05, 0.01
+# In covariances a loop errs by so many times what a pair of points does.
+_LOOP_SIGMAS = 1.2
+# What the first loops show of the drift is one voice beside as much as so many measurements; one says no more than so
+# many times what was expected.
+_DRIFTS_BEFORE, _MOST_DRIFTS = 2.0, 25.0
 # How sure a place in the map of an earlier session is.
 _KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD = 0.1, 0.02
 _KERNEL = 16.0
@@ -86,6 +91,11 @@ class LoopCloser:
         self.maps: list[LocalMap] = []
         self.poses: Float = np.empty((0, 3))
         self._sequence: list[tuple[Float, Float]] = []
+        # Covariance (3, 3) of each step of the sequence, as far as it is known; the graph itself trusts it less.
+        self._drifts: list[Float] = []
+        # What loops have shown of the drift, in squares, and how much that was expected to be.
+        self._shown, self._expected = _DRIFTS_BEFORE, _DRIFTS_BEFORE
+        self._pair_sigma = 0.0
         self.loops: list[tuple[int, int, Float, Float]] = []
         self._pyramids: dict[int, Pyramid] = {}
         self._cost = 0.0
@@ -93,22 +103,26 @@ class LoopCloser:
         self.apart = 0
         self.rejected = self.ambiguous = self.tried = 0
 
-    def handle(self, keyframes: Keyframes, first: int, last: int, way: float) -> Float | None:
-        """Add a local map and look for it among the earlier ones; see `add`.
+    def handle(
+        self, keyframes: Keyframes, first: int, last: int, way: float, drift: Float | None, pair_sigma: float
+    ) -> tuple[Float, Float] | None:
+        """Add a local map and look for it among the earlier ones; see `add` and `covariance`.
 
-        If that has moved the local maps, their poses (C, 3) before.
+        If that has moved the local maps, their poses (C, 3) before, and the covariance (3, 3) of this one now.
         """
-        new = self.add(keyframes, first, last, way)
+        self._pair_sigma = pair_sigma
+        new = self.add(keyframes, first, last, way, drift)
         before = self.poses.copy()
         if not self.close(new):
             return None
         self.optimize()
-        return before
+        return before, self._covariance(new)
 
-    def add(self, keyframes: Keyframes, first: int, last: int, way: float) -> int:
+    def add(self, keyframes: Keyframes, first: int, last: int, way: float, drift: Float | None = None) -> int:
         """Add a local map of the keyframes from `first` to before `last`, way m after the start; its index.
 
-        All poses used from now on are those of `keyframes`.
+        drift: covariance (3, 3) of its reference keyframe as seen from that of the local map before. All poses used
+        from now on are those of `keyframes`.
         """
         self._keyframes = keyframes
         poses = self._keyframes.poses
@@ -123,6 +137,7 @@ class LoopCloser:
             T = se2.relative(poses[before.reference], poses[reference])
             sigma = np.array([0.02 + 0.02 * length] * 2 + [0.03 * math.sqrt(length / 5 + 0.05)])
             self._sequence.append((T, np.diag(1 / sigma**2)))
+            self._drifts.append(np.diag(sigma**2) if drift is None else drift)
         self.maps.append(new)
         self.poses = np.vstack([self.poses, poses[reference]])
         return len(self.maps) - 1
@@ -150,6 +165,7 @@ class LoopCloser:
             if local.first == first and c:
                 information = np.diag([1 / _KNOWN_SIGMA_M**2] * 2 + [1 / _KNOWN_SIGMA_RAD**2])
                 self._sequence[c - 1] = (se2.relative(self.poses[c - 1], self.poses[c]), information)
+                self._drifts[c - 1] = np.linalg.inv(information)
 
     def credible(self) -> list[tuple[int, int, Float, Float]]:
         """The loops that fit with all the others."""
@@ -295,6 +311,7 @@ class LoopCloser:
         new = (j, c, T, information)
         poses, cost, squared = self._solved([new], trust_last=True, rounds=8)
         if cost - self._cost < _MOST_COST and squared[-1] < _MOST_DEVIATION:
+            self._learn_drift(j, c, T, information)
             self.poses = poses
             self._cost = cost
             self.loops.append(new)
@@ -324,6 +341,37 @@ class LoopCloser:
         """Solve the graph with all loops doubted alike."""
         if self.loops:
             self.poses, self._cost, _ = self._solved([], trust_last=False, rounds=20)
+
+    @property
+    def drift_scale(self) -> float:
+        """How many times larger than told the variances of drifts are, by the loops that were closed."""
+        return self._shown / self._expected
+
+    def _learn_drift(self, j: int, c: int, T: Float, information: Float) -> None:
+        """Compare how far a new loop T_j_c is from where the graph has it with how far it was expected to be."""
+        if not self._pair_sigma:
+            return
+        drifted = pose_graph.covariance_between(self._covariance(c, j), self.poses[j], self.poses[c])
+        of_loop = np.linalg.inv(self._of_loops(information))
+        off = relative(self.poses[j], self.poses[c]) - T
+        off[2] = wrap(off[2])
+        share = np.linalg.solve(drifted + of_loop, np.column_stack([off, drifted]))
+        shown, expected = share[:, 0] @ drifted @ share[:, 0], np.trace(share[:, 1:])
+        self._shown += min(shown, _MOST_DRIFTS * expected) * self.drift_scale
+        self._expected += expected
+
+    def _of_loops(self, information: Float) -> Float:
+        return information * (_LOOP_SIGMA_M / (_LOOP_SIGMAS * self._pair_sigma)) ** 2
+
+    def _covariance(self, *wanted: int) -> Float:
+        """Joint covariance (3 W, 3 W) of the poses of local maps in the map."""
+        edges = self._edges([])
+        count = len(self._sequence)
+        weights = (_KERNEL / (_KERNEL + pose_graph.deviations(self.poses, edges))) ** 2
+        weights[:count] = 1.0
+        edges.hessians[:count] = np.linalg.inv(self.drift_scale * np.reshape(self._drifts, (-1, 3, 3)))
+        edges.hessians[count:] = self._of_loops(edges.hessians[count:])
+        return pose_graph.covariance(self.poses, edges, weights, wanted)
 
 
 @numba.njit(cache=True, nogil=True)

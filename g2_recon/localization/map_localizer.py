@@ -77,7 +77,7 @@ class MapLocalizer(Localizer):
         self._collector = Collector(self._config)
         self._T_map_collected: Float = self._start.copy()
         self._known = False
-        self._covariance: Float = np.diag(_UNKNOWN_SIGMA**2)
+        self._spread: Float = np.diag(_UNKNOWN_SIGMA**2)
         self._schedule = Schedule()
         self._doubted, self._doubt_at = 0, _DOUBTED_SCANS
         self._doubtful = self._confirmed = False
@@ -115,7 +115,7 @@ class MapLocalizer(Localizer):
     def _look_around(self, given: Float, seen: Beams) -> Placement:
         """Near a given pose; where nothing fits, that pose counts until scans have not matched for a while."""
         self._given = None
-        self._covariance = np.diag(_GIVEN_SIGMA**2)
+        self._spread = np.diag(_GIVEN_SIGMA**2)
         place = self._whole_map.around(given, seen, metres=GIVEN_M, radians=GIVEN_RAD)
         if place is not None and fits_as_given(place):
             return self._found(place)
@@ -167,7 +167,7 @@ class MapLocalizer(Localizer):
         """The place is not known any more; the way from here on is kept."""
         _log.warning("track is lost near x %.1f m, y %.1f m: looking for the place in the whole map", pose[0], pose[1])
         self._known = False
-        self._covariance = self._covariance + np.diag(_LOST_SIGMA**2)
+        self._spread = self._spread + np.diag(_LOST_SIGMA**2)
         self._collector.clear()
         self._T_map_collected = pose.copy()
         self._schedule = Schedule()
@@ -182,7 +182,7 @@ class MapLocalizer(Localizer):
 
     def _back_at(self, pose: Float, seen: Beams) -> Place | None:
         """The place near where the way led, once some keyframes in a row fit there."""
-        if self._covariance[0, 0] >= _UNKNOWN_SIGMA[0] ** 2:
+        if self._spread[0, 0] >= _UNKNOWN_SIGMA[0] ** 2:
             return None
         place = self._whole_map.around(pose, seen, metres=_BACK_M, radians=_BACK_RAD)
         fits = place is not None and place.score > _BACK_SCORE and place.quality > _BACK_QUALITY
@@ -220,19 +220,19 @@ class MapLocalizer(Localizer):
     def _grow_map(self, seen: Beams, placement: Placement) -> bool:
         return False
 
-    def _uncertainty(self, placement: Placement, *, keyframe: bool) -> Float:
+    def _covariance(self, placement: Placement) -> Float:
         """Covariance (3, 3) of the present pose: of the match and the map, or grown since the last match."""
         if placement.matched:
             least = 1e-4 * np.eye(3)
             sigma = _MAP_SIGMA
             if self._doubtful:
                 sigma = _CONFIRMED_SIGMA if self._confirmed else _LOST_SIGMA
-            self._covariance = np.linalg.inv(placement.information + least) + np.diag(sigma**2)
+            self._spread = np.linalg.inv(placement.information + least) + np.diag(sigma**2)
         else:
             way = np.hypot(self._moved[0], self._moved[1])
             drift = _DRIFT_FLOOR + _DRIFT_SHARE * (way, way, self._moved[2])
-            self._covariance = np.minimum(self._covariance + np.diag(drift**2), _UNKNOWN_SIGMA[0] ** 2)
-        return self._covariance
+            self._spread = np.minimum(self._spread + np.diag(drift**2), _UNKNOWN_SIGMA[0] ** 2)
+        return self._spread
 
     def _remember(self, stamp: float, seen: Beams, pose: Float, *, keyframe: bool) -> None:
         super()._remember(stamp, seen, pose, keyframe=keyframe)

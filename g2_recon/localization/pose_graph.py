@@ -8,6 +8,7 @@ d^T H d / 2 + g^T d. A direction that the scans do not determine, such as along 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -58,6 +59,25 @@ def joined(*parts: Edges) -> Edges:
     )
 
 
+def at_poses(poses: Float, edges: Edges) -> Edges:
+    """The same edges as if they had been measured at the poses (N, 3)."""
+    T = se2.relative(poses[edges.second], poses[edges.first])
+    d = T - edges.T
+    d[:, 2] = se2.wrap_angle(d[:, 2])
+    gradients = edges.gradients + (edges.hessians @ d[..., None])[..., 0]
+    return Edges(edges.first, edges.second, T, edges.hessians, gradients)
+
+
+@numba.njit(cache=True, nogil=True)
+def _differentiate(T_j_i, yaw, J):  # type: ignore[no-untyped-def]
+    """Derivative J (3, 6) of T_j_i by the poses of i and of j, whose yaw is given."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    J[0, 0], J[0, 1], J[1, 0], J[1, 1] = cos, sin, -sin, cos
+    J[0, 3], J[0, 4], J[1, 3], J[1, 4] = -cos, -sin, sin, -cos
+    J[0, 5], J[1, 5] = T_j_i[1], -T_j_i[0]
+    J[2, 2], J[2, 5] = 1.0, -1.0
+
+
 @numba.njit(cache=True, nogil=True)
 def linearize(poses, first, second, T, hessians, gradients, weights):  # type: ignore[no-untyped-def]
     """Blocks (M, 6, 6) and (M, 6) of the normal equations for i then j, and squared deviations (M,) d^T H d."""
@@ -73,11 +93,7 @@ def linearize(poses, first, second, T, hessians, gradients, weights):  # type: i
         now = relative(poses[j], poses[i])
         d = now - T[m]
         d[2] = wrap(d[2])
-        cos, sin = np.cos(poses[j, 2]), np.sin(poses[j, 2])
-        J[0, 0], J[0, 1], J[1, 0], J[1, 1] = cos, sin, -sin, cos
-        J[0, 3], J[0, 4], J[1, 3], J[1, 4] = -cos, -sin, sin, -cos
-        J[0, 5], J[1, 5] = now[1], -now[0]
-        J[2, 2], J[2, 5] = 1.0, -1.0
+        _differentiate(now, poses[j, 2], J)
         H = hessians[m]
         squared[m] = 0.0
         for u in range(3):
@@ -102,9 +118,36 @@ def deviations(poses: Float, edges: Edges) -> Float:
 
 def solve(poses: Float, edges: Edges, *, held: int = 0, weights: Float | None = None) -> tuple[Float, Float]:
     """One Gauss-Newton step: the poses (N, 3) after it, and d^T H d (M,) of the edges before it; `held` stays."""
-    count = len(poses)
     if weights is None:
         weights = np.ones(len(edges))
+    factors, right, squared = _factorized(poses, edges, weights, held)
+    moved = poses - factors.solve(right).reshape(len(poses), 3)
+    moved[:, 2] = se2.wrap_angle(moved[:, 2])
+    return moved, squared
+
+
+def covariance(poses: Float, edges: Edges, weights: Float, wanted: Sequence[int], *, held: int = 0) -> Float:
+    """Joint covariance (3 W, 3 W) of the wanted poses in the frame of the poses (N, 3); `held` is exactly known.
+
+    Hessians count as information matrices.
+    """
+    factors, _, _ = _factorized(poses, edges, weights, held)
+    rows = (3 * np.asarray(wanted)[:, None] + np.arange(3)).ravel()
+    units = np.zeros((3 * len(poses), len(rows)))
+    units[rows, np.arange(len(rows))] = 1.0
+    return np.ascontiguousarray(factors.solve(units)[rows])
+
+
+def covariance_between(joint: Float, j: Float, i: Float) -> Float:
+    """Covariance (3, 3) of T_j_i, as edges measure it, of poses i and j (3,) with a joint covariance (6, 6) of i, j."""
+    jacobian = np.zeros((3, 6))
+    _differentiate(relative(j, i), j[2], jacobian)
+    return np.asarray(jacobian @ joint @ jacobian.T)
+
+
+def _factorized(poses: Float, edges: Edges, weights: Float, held: int) -> tuple[sparse_linalg.SuperLU, Float, Float]:
+    """The normal equations of a step at the poses (N, 3): factors, right side (3 N,), and d^T H d (M,) of the edges."""
+    count = len(poses)
     blocks, pulls, squared = linearize(
         poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, weights
     )
@@ -117,9 +160,7 @@ def solve(poses: Float, edges: Edges, *, held: int = 0, weights: Float | None = 
     ).tocsc() + sparse.diags(diagonal, format="csc")
     right = np.bincount(rows.ravel(), pulls.ravel(), 3 * count)
     factors = sparse_linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    moved = poses - factors.solve(right).reshape(count, 3)
-    moved[:, 2] = se2.wrap_angle(moved[:, 2])
-    return moved, squared
+    return factors, np.asarray(right, float), squared
 
 
 @numba.njit(cache=True, nogil=True)

@@ -111,13 +111,12 @@ class ResumedLocalizer(Localizer):
         place = whole.around(given, seen, metres=GIVEN_M, radians=GIVEN_RAD)
         return place if place is not None and fits_as_given(place) else None
 
-    def _uncertainty(self, placement: Placement, *, keyframe: bool) -> Float:
+    def _covariance(self, placement: Placement) -> Float:
         """As of a Localizer; nothing is known until the place is found."""
-        usual = super()._uncertainty(placement, keyframe=keyframe)
         if self._map is not None:
             return np.diag(_UNKNOWN_SIGMA**2)
         if self._placed_by is not None:
-            usual = np.linalg.inv(self._placed_by.information) + np.diag(_MAP_SIGMA**2)
-            self._keyframe_covariance = usual
+            known = np.linalg.inv(self._placed_by.information) + np.diag(_MAP_SIGMA**2)
+            self._uncertainty.take_back(len(self._keyframes) - 1, known)
             self._placed_by = None
-        return usual
+        return super()._covariance(placement)

@@ -59,6 +59,11 @@ class Smoother:
             poses, start, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, _ROUNDS
         )
 
+    def latest(self) -> pose_graph.Edges | None:
+        """The edges of the latest keyframe, at the present poses; None where there is none before it."""
+        laid = self._scans.get(len(self._keyframes) - 1)
+        return None if laid is None else pose_graph.at_poses(self._keyframes.poses, laid)
+
     def _laid(self, i: int, segment: int) -> pose_graph.Edges:
         """Edges of a keyframe to those before it that it fits on."""
         second = i - _SPANS[i - segment >= _SPANS]

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import median
 
 import numpy as np
@@ -82,7 +82,8 @@ class Placement:
 
     pose: (3,) T_map_laser. information: (3, 3) of the match and the prediction. quality: share of agreement, 0 to 1.
     inliers: share of the beams in view of the references that have a partner. matched: whether it is believed.
-    wheels_err: whether it is believed although the wheels say otherwise.
+    wheels_err: whether it is believed although the wheels say otherwise. hessian: (3, 3) that the match ended with, of
+    scans and prediction.
     """
 
     pose: Float
@@ -91,6 +92,7 @@ class Placement:
     inliers: float
     matched: bool
     wheels_err: bool = False
+    hessian: Float = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 class Tracker:
@@ -102,6 +104,8 @@ class Tracker:
     def __init__(self, keyframes: Keyframes) -> None:
         self._keyframes = keyframes
         self.segment = 0
+        # What a pair of points is trusted with in covariances, m; PAIR_SIGMA_M, against wheels and guesses, is more.
+        self.pair_sigma = PAIR_SIGMA_M
         self._grid = np.zeros((_GRID_CELLS, _GRID_CELLS), np.uint8)
         self._wide = np.zeros_like(self._grid)
         self._fine = np.zeros((_FINE_CELLS, _FINE_CELLS), np.uint8)
@@ -220,7 +224,8 @@ class Tracker:
             references[:_WITNESSES], keyframes.poses, *keyframes.arrays, 2,
         )  # fmt: skip
         quality = same / max(1, same + 2 * against)
-        return Placement(pose, hessian / PAIR_SIGMA_M**2, quality, inliers, quality >= LEAST_QUALITY)
+        information = (hessian - prior) / self.pair_sigma**2 + np.diag(1 / sigma**2)
+        return Placement(pose, information, quality, inliers, quality >= LEAST_QUALITY, hessian=hessian)
 
     def _found(self, beams: Beams, guess: Float, sigma: Float | None) -> Placement:
         """Match from the best place around a guess; without a sigma, that place counts and the guess no longer.
@@ -245,8 +250,8 @@ class Tracker:
         Door frames, and the far end of a corridor of which a few beams speak, tell the way along it. guess: (3,) where
         the scan is expected to lie; without: odometry.
         """
-        values, vectors = np.linalg.eigh(placement.information[:2, :2])
-        if values[0] * PAIR_SIGMA_M**2 > _WEAK:
+        values, vectors = np.linalg.eigh(placement.hessian[:2, :2])
+        if values[0] > _WEAK:
             return placement
         weak = np.ascontiguousarray(vectors[:, 0])
         expected = float((guess - placement.pose)[:2] @ weak)
@@ -261,7 +266,7 @@ class Tracker:
             return placement
         seen = 1 / _SLID_SIGMA_M**2
         pose, information = placement.pose.copy(), placement.information.copy()
-        pose[:2] += seen / (seen + values[0]) * off * weak
+        pose[:2] += seen / (seen + values[0] / PAIR_SIGMA_M**2) * off * weak
         information[:2, :2] += seen * np.outer(weak, weak)
         return replace(placement, pose=pose, information=information)
 

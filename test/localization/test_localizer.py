@@ -288,13 +288,14 @@ def slipping_in_the_halls(truth_in_the_halls):
 
 @pytest.fixture(scope="module")
 def in_the_halls(scans_of_the_halls, slipping_in_the_halls):
-    """What comes out with the settings given: the poses as they came, at the end, and after `finish`."""
+    """What comes out: poses as they came, at the end and after `finish`, and covariances as they came."""
 
     def run(**configured):
         localizer, results = localize(scans_of_the_halls, slipping_in_the_halls, keep_scans=True, **configured)
         as_they_came, at_the_end = np.array([result.pose for result in results]), localizer.trajectory().planar()
         localizer.finish()
-        return localizer, as_they_came, at_the_end, localizer.trajectory().planar()
+        covariances = np.array([result.covariance for result in results])
+        return localizer, as_they_came, at_the_end, localizer.trajectory().planar(), covariances
 
     return run
 
@@ -305,8 +306,8 @@ def closed(in_the_halls):
 
 
 def test_a_loop_of_corridors_closes_and_takes_back_the_drift(closed, in_the_halls, truth_in_the_halls):
-    localizer, came, end, _ = closed
-    drifted, drifted_came, drifted_end, _ = in_the_halls(loop_closure=False)
+    localizer, came, end, *_ = closed
+    drifted, drifted_came, drifted_end, *_ = in_the_halls(loop_closure=False)
     assert localizer.loops > 0
     assert drifted.loops == 0
     assert localizer.unmatched == 0
@@ -316,8 +317,20 @@ def test_a_loop_of_corridors_closes_and_takes_back_the_drift(closed, in_the_hall
     assert errors(end, truth_in_the_halls).mean() < 0.7 * errors(drifted_end, truth_in_the_halls).mean()
 
 
+def test_closed_loops_make_poses_surer_and_say_how_much_the_way_has_drifted(closed, in_the_halls):
+    localizer, *_, covariances = closed
+    drifted, *_, drifted_covariances = in_the_halls(loop_closure=False)
+    spreads, drifted_spreads = (np.trace(c[:, :2, :2], axis1=1, axis2=2) for c in (covariances, drifted_covariances))
+    assert (np.linalg.eigvalsh(covariances) > 0).all()
+    # Wheels that slip by a third make it drift far more than was expected on the way.
+    scale = localizer._uncertainty.drift_scale
+    assert scale > 2
+    assert drifted._uncertainty.drift_scale == 1
+    assert spreads[-1] < 0.9 * scale * drifted_spreads[-1]
+
+
 def test_finishing_improves_a_drive_whose_wheels_slipped(closed, truth_in_the_halls):
-    _, _, end, finished = closed
+    _, _, end, finished, _ = closed
     assert errors(finished, truth_in_the_halls).mean() < 0.9 * errors(end, truth_in_the_halls).mean()
 
 

@@ -179,3 +179,30 @@ def test_in_a_window_a_direction_without_information_stays_where_it_is():
     edge = pose_graph.measured(np.array([1]), np.array([0]), np.array([[7.0, 0.2, 0.0]]), information[None])
     solve_window(poses, 1, edge, 3)
     assert poses[1] == pytest.approx([1.0, 0.2, 0.0], abs=1e-5)
+
+
+def test_along_a_chain_the_next_pose_is_as_sure_as_its_edge_and_the_far_ones_less():
+    edges = exact_edges(*CHAIN)
+    joint = pose_graph.covariance(RING, edges, np.ones(len(edges)), [9, 8])
+    assert pose_graph.covariance_between(joint, RING[8], RING[9]) == pytest.approx(np.linalg.inv(INFORMATION), abs=1e-6)
+    spreads = [np.trace(pose_graph.covariance(RING, edges, np.ones(len(edges)), [k])) for k in range(1, COUNT // 2)]
+    assert (np.diff(spreads) > 0).all()
+
+
+def test_a_loop_makes_the_end_of_a_chain_as_sure_as_the_loop():
+    chain, ring = exact_edges(*CHAIN), ring_with_a_loop()
+    open_end = pose_graph.covariance(RING, chain, np.ones(len(chain)), [COUNT - 1])
+    closed = pose_graph.covariance(RING, ring, np.ones(len(ring)), [COUNT - 1])
+    of_the_loop = pose_graph.covariance_between(np.pad(closed, (0, 3)), RING[0], RING[-1])
+    assert (np.linalg.eigvalsh(np.linalg.inv(INFORMATION) - of_the_loop) > 0).all()
+    assert np.trace(closed) < 0.1 * np.trace(open_end)
+
+
+def test_edges_at_other_poses_say_the_same():
+    poses = noisy()
+    edges = ring_with_a_loop()
+    moved = pose_graph.at_poses(poses, edges)
+    assert pytest.approx(se2.relative(poses[edges.second], poses[edges.first])) == moved.T
+    one, _ = pose_graph.solve(poses, edges)
+    other, _ = pose_graph.solve(poses, moved)
+    assert one == pytest.approx(other, abs=1e-9)

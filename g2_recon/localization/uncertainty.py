@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""How sure the poses of keyframes are: what each step adds, as the scans themselves show, and what loops take back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g2_recon.geometry.se2_kernels import carried, relative
+from g2_recon.localization import pose_graph
+from g2_recon.localization.keyframes import Keyframes
+
+Float = NDArray[np.float64]
+
+# Edges to keyframes at least so far back show how much the way from there drifts. Sigma of a pair, m, before any are
+# known; no edge says more than the largest; the estimate is a running mean over so many edges.
+_LONG_SPAN = 8
+_FIRST_SIGMA_M, _LARGEST_SIGMA_M, _MEMORY = 0.02, 0.1, 100
+# A step errs by this share of the variance of one edge, as errors of scans side by side are alike.
+_DRIFT_SHARE = 0.025
+# Where the scans say nothing: variance of the wheels, and of going on as before, m^2 a m and rad^2 a rad.
+_WHEEL_VARIANCE, _INERTIA_VARIANCE = np.array([0.015, 0.015, 0.05]) ** 2, np.array([0.12, 0.12, 0.1]) ** 2
+_WAY_PER_RAD = 0.3
+# So much of the pairs of a bare wall seem to hold a scan along it, as noise tilts their normals.
+_TILTED = 0.01
+_LEAST_WAY_M = 0.01
+# Where track was lost, m, m, rad.
+_BROKEN_SIGMA = np.array([5.0, 5.0, 0.5])
+
+
+class Uncertainty:
+    """Covariances of keyframes.
+
+    pair_sigma: m, by which the place of a wall in one scan and in another differs, with what beams side by side have in
+    common: d^T H d of an edge is compared with its square. drift_scale: how many times as large as expected the
+    variance of a step is, by the loops that were closed.
+    """
+
+    def __init__(self, keyframes: Keyframes) -> None:
+        self._keyframes = keyframes
+        self._variance = _FIRST_SIGMA_M**2
+        # Covariance (3, 3) of the latest keyframe in the map frame; of the steps to each keyframe, in its own frame.
+        self.covariance: Float = np.zeros((3, 3))
+        self._steps: list[Float] = []
+        self.drift_scale = 1.0
+
+    def fill(self, count: int) -> None:
+        """Of so many keyframes that were there before, the poses are what the map is."""
+        self.covariance = np.zeros((3, 3))
+        self._steps = [np.zeros((3, 3))] * count
+
+    @property
+    def pair_sigma(self) -> float:
+        """See the class."""
+        return math.sqrt(self._variance)
+
+    def add(self, edges: pose_graph.Edges | None, *, wheels: bool, broken: bool) -> None:
+        """Take note of the latest keyframe and the edges from it to those before, at their present poses.
+
+        wheels: whether the wheels told the step to it. broken: whether track was lost on the way.
+        """
+        poses = self._keyframes.poses
+        k = len(poses) - 1
+        if not k:
+            self._steps.append(np.zeros((3, 3)))
+            return
+        if broken:
+            step = np.diag(_BROKEN_SIGMA**2)
+        else:
+            step = self._step(edges, relative(poses[k - 1], poses[k]), wheels=wheels)
+        self._steps.append(step)
+        self.covariance = self._led_on(self.covariance, k, self.drift_scale)
+
+    def _step(self, edges: pose_graph.Edges | None, moved: Float, *, wheels: bool) -> Float:
+        """Covariance (3, 3) that a step (3,) adds, in the frame that it leads to."""
+        way = max(_LEAST_WAY_M, math.hypot(moved[0], moved[1]) + _WAY_PER_RAD * abs(moved[2]))
+        information = np.diag(1 / (way * (_WHEEL_VARIANCE if wheels else _INERTIA_VARIANCE)))
+        if edges is not None and len(edges):
+            turns = np.array([_turn(yaw) for yaw in edges.T[:, 2]])
+            hessians = turns.transpose(0, 2, 1) @ edges.hessians @ turns
+            self._learn(edges)
+            held = hessians.mean(axis=0) / (_DRIFT_SHARE * self._variance)
+            return np.linalg.inv(information + held) + _unheld(held, information)
+        return np.linalg.inv(information)
+
+    def _learn(self, edges: pose_graph.Edges) -> None:
+        """What edges want other than they have got, in units of their own information, tells how far scans err."""
+        far = edges.first - edges.second >= _LONG_SPAN
+        pulls = edges.gradients[far]
+        wanted = np.linalg.solve(edges.hessians[far] + np.eye(3), pulls[..., None])[..., 0]
+        for squared in np.minimum((pulls * wanted).sum(axis=1) / 3, _LARGEST_SIGMA_M**2):
+            self._variance += (squared - self._variance) / _MEMORY
+
+    def _led_on(self, covariance: Float, k: int, scale: float) -> Float:
+        """The covariance (3, 3) of keyframe k - 1 as that of keyframe k."""
+        poses = self._keyframes.poses
+        x, y, _ = poses[k] - poses[k - 1]
+        return carried(covariance, x, y) + scale * _rotated(self._steps[k], poses[k, 2])
+
+    def between(self, a: int, b: int) -> Float:
+        """Covariance (3, 3) of keyframe b > a as seen from a, in the frame of a, before it is scaled."""
+        covariance: Float = np.zeros((3, 3))
+        for k in range(a + 1, b + 1):
+            covariance = self._led_on(covariance, k, 1.0)
+        return _rotated(covariance, -self._keyframes.poses[a, 2])
+
+    def take_back(self, k: int, covariance: Float) -> None:
+        """Keyframe k is now known this well in the map, and the latest one with it."""
+        for following in range(k + 1, len(self._keyframes)):
+            covariance = self._led_on(covariance, following, self.drift_scale)
+        self.covariance = covariance
+
+    def seen_from_latest(self, pose: Float) -> Float:
+        """Covariance (3, 3) that a pose (3,) has from the latest keyframe, were it rigidly connected."""
+        x, y, _ = pose - self._keyframes.poses[-1]
+        return np.asarray(carried(self.covariance, x, y))
+
+
+def _unheld(held: Float, otherwise: Float) -> Float:
+    """Covariance (3, 3) that is missing along a direction with no surface, where noise of normals seems to hold a scan.
+
+    held: (3, 3) information of the scans. otherwise: of all else.
+    """
+    values, vectors = np.linalg.eigh(held[:2, :2])
+    rest = vectors[:, 0] @ otherwise[:2, :2] @ vectors[:, 0]
+    honest = max(0.0, values[0] - _TILTED * values.sum())
+    missing = np.zeros((3, 3))
+    missing[:2, :2] = (1 / (honest + rest) - 1 / (values[0] + rest)) * np.outer(vectors[:, 0], vectors[:, 0])
+    return missing
+
+
+def _rotated(covariance: Float, yaw: float) -> Float:
+    turn = _turn(yaw)
+    return np.ascontiguousarray(turn @ covariance @ turn.T)
+
+
+def _turn(yaw: float) -> Float:
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
