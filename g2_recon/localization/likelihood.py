@@ -33,21 +33,23 @@ def bell(resolution: float, sigma: float) -> Grid:
 
 
 @numba.njit(cache=True, nogil=True)
-def splat(grid, points, kinds, pose, x0, y0, resolution, kernel):  # type: ignore[no-untyped-def]
-    """Draw points (B, 2) of a scan at a pose (3,) into the grid with corner x0, y0: the larger likelihood stays."""
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+def splat(grid, points, kinds, poses, x0, y0, resolution, kernel):  # type: ignore[no-untyped-def]
+    """Draw scans (K, B, 2) at poses (K, 3) into the grid with corner x0, y0: the larger likelihood stays."""
     width, height = grid.shape
-    for b in range(len(points)):
-        if kinds[b] == 0:
-            continue
-        x = int((cos * points[b, 0] - sin * points[b, 1] + pose[0] - x0) / resolution)
-        y = int((sin * points[b, 0] + cos * points[b, 1] + pose[1] - y0) / resolution)
-        if x < 2 or y < 2 or x >= width - 2 or y >= height - 2:
-            continue
-        for u in range(5):
-            for v in range(5):
-                if kernel[u, v] > grid[x + u - 2, y + v - 2]:
-                    grid[x + u - 2, y + v - 2] = kernel[u, v]
+    for k in range(len(poses)):
+        cos, sin = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        for b in range(points.shape[1]):
+            if kinds[k, b] == 0:
+                continue
+            x = int((cos * points[k, b, 0] - sin * points[k, b, 1] + poses[k, 0] - x0) / resolution)
+            y = int((sin * points[k, b, 0] + cos * points[k, b, 1] + poses[k, 1] - y0) / resolution)
+            # What is in the middle is there already if the same place was hit before.
+            if x < 2 or y < 2 or x >= width - 2 or y >= height - 2 or grid[x, y] == kernel[2, 2]:
+                continue
+            for u in range(5):
+                for v in range(5):
+                    if kernel[u, v] > grid[x + u - 2, y + v - 2]:
+                        grid[x + u - 2, y + v - 2] = kernel[u, v]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -26,6 +26,8 @@ _LEAST_INLIERS, _FEWEST_INLIERS = 0.35, 30
 _ALWAYS = 2
 _ODOMETRY_WEIGHT = 5.0
 _ROUNDS = 2
+# Rows for the edges of a window, and then some.
+_ROOM = 4 * (_LAG + _RELAID) * (len(_SPANS) + 1)
 
 
 class Smoother:
@@ -33,9 +35,11 @@ class Smoother:
 
     def __init__(self, keyframes: Keyframes) -> None:
         self._keyframes = keyframes
-        # Of each keyframe in the window: edges to earlier ones, and the one of the wheels.
-        self._scans: dict[int, pose_graph.Edges] = {}
+        # Edges of each keyframe in the window to earlier ones, with that of the wheels, and where they begin.
+        self._edges = _Rows()
+        self._begins: dict[int, int] = {}
         self._wheels: dict[int, pose_graph.Edges] = {}
+        self._latest: pose_graph.Edges | None = None
 
     def add(self, odometry: Float, segment: int) -> None:
         """Smooth after a keyframe was added; odometry: (3,) the step of the wheels to it, NaN where unknown.
@@ -43,26 +47,31 @@ class Smoother:
         `segment` is the first keyframe that the new one can be laid on.
         """
         k = len(self._keyframes) - 1
+        self._latest = None
         if k == segment:
             return
         poses = self._keyframes.poses
-        for i in range(max(segment + 1, k + 1 - _RELAID), k + 1):
-            self._scans[i] = self._laid(i, segment)
         step = relative(poses[k - 1], poses[k]) if np.isnan(odometry).any() else odometry
         last = np.array([k])
         self._wheels[k] = pose_graph.measured(last, last - 1, step[None], _wheel_information(step)[None])
-        start = max(segment + 1, k - _LAG)
-        for past in [i for i in self._wheels if i < start]:
-            del self._scans[past], self._wheels[past]
-        edges = pose_graph.joined(*self._scans.values(), *self._wheels.values())
+        self._wheels.pop(k - _RELAID, None)
+        relaid, start = max(segment + 1, k + 1 - _RELAID), max(segment + 1, k - _LAG)
+        self._edges.shorten(self._begins.get(relaid, self._edges.end))
+        for i in range(relaid, k + 1):
+            self._begins[i] = self._edges.end
+            self._latest = self._laid(i, segment)
+            self._edges.extend(self._latest)
+            self._edges.extend(self._wheels[i])
+        for past in [i for i in self._begins if i < start]:
+            del self._begins[past]
+        window = self._edges.since(self._begins[start])
         pose_graph.solve_window(
-            poses, start, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, _ROUNDS
+            poses, start, window.first, window.second, window.T, window.hessians, window.gradients, _ROUNDS
         )
 
     def latest(self) -> pose_graph.Edges | None:
         """The edges of the latest keyframe, at the present poses; None where there is none before it."""
-        laid = self._scans.get(len(self._keyframes) - 1)
-        return None if laid is None else pose_graph.at_poses(self._keyframes.poses, laid)
+        return None if self._latest is None else pose_graph.at_poses(self._keyframes.poses, self._latest)
 
     def _laid(self, i: int, segment: int) -> pose_graph.Edges:
         """Edges of a keyframe to those before it that it fits on."""
@@ -73,6 +82,41 @@ class Smoother:
         )
         fits = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
         return pose_graph.Edges(first, second, T, hessians, gradients)[fits | (i - second <= _ALWAYS)]
+
+
+class _Rows:
+    """Edges one after the other, in arrays that need not be joined anew for every keyframe."""
+
+    def __init__(self) -> None:
+        self._arrays: tuple[NDArray[np.generic], ...] = (
+            *(np.empty(_ROOM, np.int64), np.empty(_ROOM, np.int64)),
+            *(np.empty((_ROOM, 3)), np.empty((_ROOM, 3, 3)), np.empty((_ROOM, 3))),
+        )
+        # Rows before `_first` are gone, those before `_kept` no longer needed.
+        self._first = self._kept = self.end = 0
+
+    def extend(self, edges: pose_graph.Edges) -> None:
+        """Append edges."""
+        if self.end + len(edges) - self._first > _ROOM:
+            for array in self._arrays:
+                array[: self.end - self._kept] = array[self._kept - self._first : self.end - self._first]
+            self._first = self._kept
+        rows = slice(self.end - self._first, self.end - self._first + len(edges))
+        parts = edges.first, edges.second, edges.T, edges.hessians, edges.gradients
+        for array, part in zip(self._arrays, parts, strict=True):
+            array[rows] = part
+        self.end += len(edges)
+
+    def shorten(self, end: int) -> None:
+        """Drop the rows from `end` on."""
+        self.end = end
+
+    def since(self, row: int) -> pose_graph.Edges:
+        """The edges from this row on; earlier ones will not be asked for again."""
+        self._kept = row
+        rows = slice(row - self._first, self.end - self._first)
+        first, second, T, hessians, gradients = (array[rows] for array in self._arrays)
+        return pose_graph.Edges(first, second, T, hessians, gradients)  # type: ignore[arg-type]
 
 
 def _wheel_information(step: Float) -> Float:

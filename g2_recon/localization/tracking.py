@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from statistics import median
 
 import numpy as np
@@ -131,7 +132,7 @@ class Tracker:
         guess = compose(last, likeliest)
         placement = Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
         if np.count_nonzero(beams.kinds == SURFACE) >= FEWEST_SURFACES:
-            best = self._best(beams, last, step, [(likeliest, sigma), *predictions])
+            best = self._best(beams, last, step, (likeliest, sigma), predictions)
             if best.matched:
                 # The wheels have had their say in the match.
                 placement = self._slid(beams, best, guess if step is None else best.pose, without=step is None)
@@ -147,9 +148,16 @@ class Tracker:
             self._velocity[:2] = np.mean([found[:2] for _, found in self._history][-_STEADY:], axis=0)
         return placement
 
-    def _best(self, beams: Beams, last: Float, step: Float | None, predictions: list[tuple[Float, Float]]) -> Placement:
+    def _best(
+        self,
+        beams: Beams,
+        last: Float,
+        step: Float | None,
+        first: tuple[Float, Float],
+        others: Iterator[tuple[Float, Float]],
+    ) -> Placement:
         """The match from the likeliest of the predicted steps, unless it is doubtful and another one is better."""
-        (likeliest, sigma), *others = predictions
+        likeliest, sigma = first
         guess = compose(last, likeliest)
         if step is None:
             best, margin = self._found(beams, guess, None), _MARGIN
@@ -159,7 +167,7 @@ class Tracker:
             best, margin = self._lay(beams, guess, sigma, few=True), _SEARCH_MARGIN
             if self._good(best) and _near(best.pose, guess, _LIKELY_SIGMAS * _wheel_sigma(step)):
                 return best
-            others = predictions
+            others = chain([first], others)
         for predicted, uncertainty in others:
             other = self._found(beams, compose(last, predicted), None if step is None else uncertainty)
             if other.quality > best.quality + margin or _fits_better(other, best):
@@ -283,8 +291,8 @@ class Tracker:
         points, _, kinds, _, _ = self._keyframes.arrays
         grid[:] = 0
         corner = np.asarray(poses[-1, :2] - 0.5 * len(grid) * resolution)
-        for k in range(max(self.segment, count - _DRAWN), count):
-            likelihood.splat(grid, points[k], kinds[k], poses[k], corner[0], corner[1], resolution, bell)
+        drawn = slice(max(self.segment, count - _DRAWN), count)
+        likelihood.splat(grid, points[drawn], kinds[drawn], poses[drawn], corner[0], corner[1], resolution, bell)
         return corner
 
     def _draw(self) -> None:

@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry.se2_kernels import carried, relative
+from g2_recon.geometry.se2_kernels import carried, relative, solve_3x3
 from g2_recon.localization import pose_graph
 from g2_recon.localization.keyframes import Keyframes
+from g2_recon.localization.pairing import add_turned
 
 Float = NDArray[np.float64]
 
@@ -79,20 +81,16 @@ class Uncertainty:
         way = max(_LEAST_WAY_M, math.hypot(moved[0], moved[1]) + _WAY_PER_RAD * abs(moved[2]))
         information = np.diag(1 / (way * (_WHEEL_VARIANCE if wheels else _INERTIA_VARIANCE)))
         if edges is not None and len(edges):
-            turns = np.array([_turn(yaw) for yaw in edges.T[:, 2]])
-            hessians = turns.transpose(0, 2, 1) @ edges.hessians @ turns
             self._learn(edges)
-            held = hessians.mean(axis=0) / (_DRIFT_SHARE * self._variance)
+            hessian = _mean_seen_from_first(edges.hessians, edges.T[:, 2])
+            held = hessian / (_DRIFT_SHARE * self._variance)
             return np.linalg.inv(information + held) + _unheld(held, information)
         return np.linalg.inv(information)
 
     def _learn(self, edges: pose_graph.Edges) -> None:
         """What edges want other than they have got, in units of their own information, tells how far scans err."""
         far = edges.first - edges.second >= _LONG_SPAN
-        pulls = edges.gradients[far]
-        wanted = np.linalg.solve(edges.hessians[far] + np.eye(3), pulls[..., None])[..., 0]
-        for squared in np.minimum((pulls * wanted).sum(axis=1) / 3, _LARGEST_SIGMA_M**2):
-            self._variance += (squared - self._variance) / _MEMORY
+        self._variance = _learned(self._variance, edges.hessians, edges.gradients, far)
 
     def _led_on(self, covariance: Float, k: int, scale: float) -> Float:
         """The covariance (3, 3) of keyframe k - 1 as that of keyframe k."""
@@ -117,6 +115,25 @@ class Uncertainty:
         """Covariance (3, 3) that a pose (3,) has from the latest keyframe, were it rigidly connected."""
         x, y, _ = pose - self._keyframes.poses[-1]
         return np.asarray(carried(self.covariance, x, y))
+
+
+@numba.njit(cache=True, nogil=True)
+def _learned(variance, hessians, gradients, counting):  # type: ignore[no-untyped-def]
+    """The running mean of the squares, a degree of freedom, of what the counting edges (M,) want otherwise."""
+    for m in np.flatnonzero(counting):
+        pull = gradients[m]
+        squared = (pull * solve_3x3(hessians[m] + np.eye(3), pull)).sum() / 3
+        variance += (min(squared, _LARGEST_SIGMA_M**2) - variance) / _MEMORY
+    return variance
+
+
+@numba.njit(cache=True, nogil=True)
+def _mean_seen_from_first(hessians, yaws):  # type: ignore[no-untyped-def]
+    """Mean (3, 3) of hessians (M, 3, 3) of edges T_j_i with yaws (M,), turned from the frames of j to that of i."""
+    total, unused = np.zeros((3, 3)), np.zeros(3)
+    for m in range(len(yaws)):
+        add_turned(hessians[m], unused, -yaws[m], total, unused)
+    return total / len(yaws)
 
 
 def _unheld(held: Float, otherwise: Float) -> Float:

@@ -24,7 +24,15 @@ def seen(scan):
 def drawn(scan, pose, cells=140):
     grid = np.zeros((cells, cells), np.uint8)
     b = seen(scan)
-    likelihood.splat(grid, b.points, b.kinds, pose, *CORNER, RESOLUTION, likelihood.bell(RESOLUTION, 0.12))
+    likelihood.splat(
+        grid,
+        b.points[None],
+        b.kinds[None],
+        np.asarray(pose)[None],
+        *CORNER,
+        RESOLUTION,
+        likelihood.bell(RESOLUTION, 0.12),
+    )
     return grid
 
 
@@ -47,7 +55,7 @@ def test_a_grid_holds_the_largest_likelihood_of_all_points_and_ends_before_its_b
     points = np.array([[0.05, 0.05], [0.15, 0.05], [-5.85, 0.0], [7.9, 0.0], [-99.0, 0.0], [1.0, 1.0]])
     kinds = np.array([1, 2, 1, 1, 1, 0], np.uint8)
     grid = np.zeros((140, 140), np.uint8)
-    likelihood.splat(grid, points, kinds, np.zeros(3), *CORNER, RESOLUTION, bell)
+    likelihood.splat(grid, points[None], kinds[None], np.zeros((1, 3)), *CORNER, RESOLUTION, bell)
     expected = np.zeros((140, 140), np.uint8)
     for x in (60, 61):
         patch = expected[x - 2 : x + 3, 58:63]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from g2_recon.geometry import se2
+from g2_recon.localization import smoothing
 from g2_recon.localization.beams import beams
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.smoothing import Smoother
@@ -61,14 +62,22 @@ def test_poses_before_a_new_segment_stay(scan_of_room):
     assert off(se2.relative(poses[15], poses[15:]), se2.relative(TRUTH[15], TRUTH[15:])) < 0.015
 
 
-def test_only_the_window_is_kept(scan_of_room):
+def test_only_the_window_is_kept(scan_of_room, monkeypatch):
+    monkeypatch.setattr(smoothing, "_ROOM", 400)
     there = np.vstack([TRUTH, TRUTH[::-1]])
     _, smoother = smooth(scan_of_room, there, steps(there), beams=61)
-    assert min(smoother._scans) == min(smoother._wheels) == 59 - 33
-    assert len(smoother._scans) == len(smoother._wheels) == 34
+    assert list(smoother._begins) == list(range(59 - 33, 60))
+    assert len(smoother._wheels) == 3
+    window = smoother._edges.since(smoother._begins[26])
+    assert window.first.min() == 26 and window.first.max() == 59
+    # Rows that have been moved to make room are still those of their keyframes.
+    assert smoother._edges._first > 0
+    assert (np.diff(window.first) >= 0).all()
+    poses = smoother._keyframes.poses
+    assert pytest.approx(se2.relative(poses[window.second], poses[window.first]), abs=0.02) == window.T
 
 
 def test_a_lone_keyframe_stays(scan_of_room):
     poses, smoother = smooth(scan_of_room, TRUTH[:1], steps(TRUTH))
     assert poses.tolist() == TRUTH[:1].tolist()
-    assert not smoother._scans
+    assert smoother.latest() is None
