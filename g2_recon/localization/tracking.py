@@ -24,8 +24,8 @@ Float = NDArray[np.float64]
 
 # The keyframes that a scan is laid on, counted back from the latest; the first few also have to agree with it.
 # Where the wheels say where to look, fewer will do.
-_FEW_REFERENCES = np.array([1, 2, 3, 5, 8, 11, 15])
-_REFERENCES = np.array([1, 2, 3, 4, 6, 8, 10, 12, 14, 16])
+_FEW_REFERENCES = np.array([1, 2, 4, 7, 11, 16, 23, 32])
+_REFERENCES = np.array([1, 2, 3, 4, 6, 9, 13, 18, 24, 32])
 _WITNESSES = 5
 # What is drawn into the likelihood grid: so many keyframes, into cells of this size, blurred by this, m.
 _DRAWN = 40
