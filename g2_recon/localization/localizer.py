@@ -46,6 +46,8 @@ _BREAK_WAY_M = 300.0
 # indoors is faster, m/s, m/s, rad/s.
 _LONGEST_STEP_S = 1.0
 _FASTEST = np.array([5.0, 5.0, 5.0])
+# So much may it change from scan to scan, m/s, m/s, rad/s.
+_MOST_SUDDEN = np.array([1.0, 1.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
 # A direction in which nothing is known has this information.
 _LEAST_INFORMATION = 1e-4
@@ -138,7 +140,7 @@ class Localizer:
             range_min=self._config.min_range,
             range_max=self._config.max_range,
             upside_down=self._upside_down,
-            twist=self._twist if step is None else _velocity(step, elapsed),
+            twist=self._twist_of(step, elapsed),
         )
         placement = self._place(seen, step)
         self._twist = _velocity(relative(self._last, placement.pose), elapsed)
@@ -155,6 +157,14 @@ class Localizer:
         if self._keep_scans:
             self._causal.append(pose)
         return LocalizedScan(scan.stamp, pose, covariance, placement.inliers, placement.matched, keyframe)
+
+    def _twist_of(self, step: Float | None, elapsed: float) -> Float:
+        """The velocity (3,) at which beams are moved: that of the wheels, unless it differs too much from the last.
+
+        Wheels that come late would tear a scan apart.
+        """
+        wheels = self._twist if step is None else _velocity(step, elapsed)
+        return wheels if bool((np.abs(wheels - self._twist) <= _MOST_SUDDEN).all()) else self._twist
 
     def _place(self, seen: Beams, step: Float | None) -> Placement:
         if self._segment_is_empty:
