@@ -79,6 +79,22 @@ def inverse(T_a_b: ArrayLike) -> Float:
     return result
 
 
+def orthonormal(T_a_b: ArrayLike) -> Float:
+    """The rigid transform (4, 4) nearest to one whose rotation has rounding errors.
+
+    Raises InputError where it is not finite or its upper part is no rotation, nor nearly one.
+    """
+    matrix = np.asarray(T_a_b, float)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise InputError("a transform is not 4 x 4 finite numbers", advice="check the poses")
+    left, stretch, right = np.linalg.svd(matrix[:3, :3])
+    if np.abs(stretch - 1).max() > 0.1 or np.linalg.det(left @ right) < 0:
+        raise InputError("a transform does not rotate but stretches or mirrors", advice="check the poses")
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = left @ right, matrix[:3, 3]
+    return result
+
+
 def transform_points(T_a_b: ArrayLike, points_b: ArrayLike) -> Float:
     """Points (N, 3) in frame b moved to frame a, by one transform (4, 4) or one a point (N, 4, 4)."""
     matrix, points = np.asarray(T_a_b, float), np.asarray(points_b, float)

@@ -1,0 +1,51 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Method `gicp`: generalized ICP of small_gicp, after point-to-plane ICP with far pairs among few points.
+
+A. Segal, D. Haehnel, S. Thrun: "Generalized-ICP", RSS 2009.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import small_gicp
+from numpy.typing import NDArray
+
+from g2_recon.config import SweepConfig
+from g2_recon.registration.prepared_sweep import PreparedSweep
+
+Float = NDArray[np.float64]
+
+# Every so manyth point is enough while pairs are far.
+_COARSE_STEP = 5
+_ITERATIONS = 30
+
+
+def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, config: SweepConfig) -> Float:
+    """T_fixed_moving (4, 4) from a guess (4, 4).
+
+    What small_gicp says of its result is not looked at: `converged` is true also where no pair was found.
+    """
+    near = roughly(moving, fixed, T_fixed_moving, config)
+    return _aligned("GICP", moving.gicp, fixed, near, config.last_gate)
+
+
+def roughly(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, config: SweepConfig) -> Float:
+    """T_fixed_moving (4, 4) from a poor guess (4, 4) to within some centimetres: point-to-plane ICP with far pairs."""
+    few = small_gicp.PointCloud(moving.points[::_COARSE_STEP])
+    return _aligned("PLANE_ICP", few, fixed, T_fixed_moving, config.first_gate)
+
+
+def _aligned(
+    kind: str, moving: small_gicp.PointCloud, fixed: PreparedSweep, T_fixed_moving: Float, gate: float
+) -> Float:
+    result = small_gicp.align(
+        fixed.gicp,
+        moving,
+        fixed.tree,
+        T_fixed_moving,
+        registration_type=kind,
+        max_correspondence_distance=gate,
+        max_iterations=_ITERATIONS,
+    )
+    return np.asarray(result.T_target_source)
