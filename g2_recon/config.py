@@ -189,8 +189,9 @@ class SweepConfig(_Model):
         ge=0,
         le=0.3,
     )
+    loop_closure: bool = _setting(True, "match a sweep with all near ones before it; off: with the last one only")
     neighbors: int = _setting(6, "a sweep is matched against this many of the nearest ones before it", ge=1, le=1000)
-    max_distance: float = _setting(8.0, "sweeps farther apart than this are not matched", "m", ge=0.1, le=200)
+    max_distance: float = _setting(10.0, "sweeps farther apart than this are not matched", "m", ge=0.1, le=200)
     odometry_distance: float = _setting(
         0.1, "standard deviation of odometry a metre that the robot drove, and at least 0.1 of a metre", ge=0.001, le=10
     )

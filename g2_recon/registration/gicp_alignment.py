@@ -17,7 +17,7 @@ from g2_recon.registration.prepared_sweep import PreparedSweep
 Float = NDArray[np.float64]
 
 # Every so manyth point is enough while pairs are far.
-_COARSE_STEP = 5
+_COARSE_STEP = 3
 _ITERATIONS = 30
 
 

@@ -25,6 +25,9 @@ _NEIGHBORS = 10
 # A sweep this large is one in millimetres, not one of a building in metres.
 _IMPLAUSIBLE_MEDIAN_M = 200.0
 
+# A neighborhood this much thinner than wide is a plane.
+_FLAT = 0.01
+
 _BIN = math.radians(2.0)
 _AZIMUTHS, _ELEVATIONS = 180, 90
 
@@ -67,13 +70,15 @@ def prepare(sweep: Cloud | Float, config: SweepConfig) -> PreparedSweep:
     few are left, or they all are in nearly the same place.
     """
     points = usable(sweep.points if isinstance(sweep, Cloud) else np.asarray(sweep, float), config)
-    thinned = small_gicp.voxelgrid_sampling(points, config.voxel).points()[:, :3]
+    thinned, counts = _thinned(points, config.voxel)
     if len(thinned) < _FEWEST_POINTS:
         raise InputError(
             f"a sweep of {len(points)} points fills {len(thinned)} voxels of {config.voxel:g} m only: too few to match",
             advice="leave it out, or check its unit (metres; set scale) and voxel",
         )
-    cloud = small_gicp.PointCloud(thinned)
+    neighbors, _ = small_gicp.KdTree(small_gicp.PointCloud(thinned)).batch_knn_search(thinned, _NEIGHBORS)
+    flatten(thinned, counts, neighbors, placed := thinned.copy())
+    cloud = small_gicp.PointCloud(placed)
     tree = small_gicp.KdTree(cloud)
     small_gicp.estimate_normals_covariances(cloud, tree, _NEIGHBORS)
     return PreparedSweep(
@@ -118,6 +123,86 @@ def implausible_scale(points: Float, config: SweepConfig) -> str:
         f"half of its points are farther than {np.median(finite):.0f} m from the laser; if that is millimetres, set "
         f"scale to {0.001 * config.scale:g}"
     )
+
+
+def _thinned(points: Float, voxel: float) -> tuple[Float, Float]:
+    """Means (M, 3) of the points (N, 3) in each cube of edge `voxel` in metres, and how many (M,) each is of."""
+    cells = np.floor(points / voxel).astype(np.int64)
+    x, y, z = (cells - cells.min(axis=0)).T
+    keys = (x * (y.max() + 1) + y) * (z.max() + 1) + z
+    order = np.argsort(keys, kind="stable")
+    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    counts = np.diff(first, append=len(keys)).astype(float)
+    return np.add.reduceat(points[order], first) / counts[:, None], counts
+
+
+@numba.njit(cache=True, nogil=True)
+def flatten(points, counts, neighbors, result):  # type: ignore[no-untyped-def]
+    """Move each of points (M, 3) that lies on a plane with its neighbors (M, K) onto that plane.
+
+    A wall near the border of voxels leaves the tail of its noise in voxels of their own, which would count as much as
+    the others: weighted by how many points each voxel had, the plane is where the wall is. Smallest eigenvalue and its
+    vector after O. K. Smith, "Eigenvalues of a symmetric 3 x 3 matrix", CACM 4(4), 1961.
+    """
+    A = np.empty((3, 3))
+    center = np.empty(3)
+    normal = np.empty(3)
+    for row in range(len(points)):
+        total = 0.0
+        center[:] = 0.0
+        for k in neighbors[row]:
+            total += counts[k]
+            for u in range(3):
+                center[u] += counts[k] * points[k, u]
+        center /= total
+        A[:] = 0.0
+        for k in neighbors[row]:
+            for u in range(3):
+                for v in range(3):
+                    A[u, v] += counts[k] / total * (points[k, u] - center[u]) * (points[k, v] - center[v])
+        mean = (A[0, 0] + A[1, 1] + A[2, 2]) / 3
+        off = A[0, 1] ** 2 + A[0, 2] ** 2 + A[1, 2] ** 2
+        p = math.sqrt(((A[0, 0] - mean) ** 2 + (A[1, 1] - mean) ** 2 + (A[2, 2] - mean) ** 2 + 2 * off) / 6)
+        if p <= 0.0:
+            continue
+        b00, b11, b22 = (A[0, 0] - mean) / p, (A[1, 1] - mean) / p, (A[2, 2] - mean) / p
+        b01, b02, b12 = A[0, 1] / p, A[0, 2] / p, A[1, 2] / p
+        half = (b00 * (b11 * b22 - b12 * b12) - b01 * (b01 * b22 - b12 * b02) + b02 * (b01 * b12 - b11 * b02)) / 2
+        angle = math.acos(min(max(half, -1.0), 1.0)) / 3
+        largest = mean + 2 * p * math.cos(angle)
+        smallest = mean + 2 * p * math.cos(angle + 2 * math.pi / 3)
+        middle = 3 * mean - largest - smallest
+        if smallest > _FLAT * middle:
+            continue
+        # The normal is across all rows of A minus the smallest eigenvalue: the longest cross product of two of them.
+        longest = 0.0
+        for u in range(3):
+            v = (u + 1) % 3
+            a0, a1, a2 = A[u, 0], A[u, 1], A[u, 2]
+            c0, c1, c2 = A[v, 0], A[v, 1], A[v, 2]
+            if u == 0:
+                a0 -= smallest
+            elif u == 1:
+                a1 -= smallest
+            else:
+                a2 -= smallest
+            if v == 0:
+                c0 -= smallest
+            elif v == 1:
+                c1 -= smallest
+            else:
+                c2 -= smallest
+            n0, n1, n2 = a1 * c2 - a2 * c1, a2 * c0 - a0 * c2, a0 * c1 - a1 * c0
+            length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+            if length > longest:
+                longest = length
+                normal[0], normal[1], normal[2] = n0 / length, n1 / length, n2 / length
+        if longest > 0.0:
+            off_plane = 0.0
+            for u in range(3):
+                off_plane += normal[u] * (points[row, u] - center[u])
+            for u in range(3):
+                result[row, u] = points[row, u] - off_plane * normal[u]
 
 
 def _nearest(points: Float) -> Float:

@@ -8,6 +8,7 @@ two sweeps say where they lie on each other.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from types import ModuleType
@@ -46,8 +47,8 @@ class Match:
 
     T: T_fixed_moving (4, 4); along weak directions, that of the guess. information: (6, 6) inverse covariance of a
     step of T, metres along the axes of the fixed sweep, then radians about them, the order of ROS; nothing along weak
-    directions. overlap, inlier_share, residual (m): see agreement.Agreement. weak: directions in which the sweeps do not
-    hold each other, in words. refused: why the match is not to be believed; empty if it is.
+    directions. overlap, inlier_share, residual (m): see agreement.Agreement. weak: directions in which the sweeps do
+    not hold each other, in words. refused: why the match is not to be believed; empty if it is.
     """
 
     T: Float
@@ -62,6 +63,10 @@ class Match:
     def quality(self) -> str:
         """`good`, `limited` (some directions are left to odometry) or `refused`."""
         return "refused" if self.refused else "limited" if self.weak else "good"
+
+    def but_refused(self, why: str) -> Match:
+        """The same match, refused."""
+        return dataclasses.replace(self, refused=why)
 
 
 def match(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: SweepConfig) -> Match:
@@ -88,7 +93,7 @@ def match(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: S
             and not _same_place(best.T, other.T)
         ):
             metres = float(np.linalg.norm(other.T[:3, 3] - best.T[:3, 3]))
-            return _refuse(best, f"it fits about as well at another place, {metres:.1f} m from there")
+            return best.but_refused(f"it fits about as well at another place, {metres:.1f} m from there")
     return best
 
 
@@ -143,10 +148,6 @@ def _why_refused(seen: Agreement, T: Float, guess: Float, strong: int, config: S
     if metres > max(config.search, config.first_gate) * math.sqrt(2):
         return f"it is {metres:.1f} m from where odometry has it"
     return ""
-
-
-def _refuse(found: Match, why: str) -> Match:
-    return Match(found.T, found.information, found.overlap, found.inlier_share, found.residual, found.weak, why)
 
 
 def _support(found: Match) -> float:
