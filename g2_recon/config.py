@@ -157,7 +157,7 @@ class SweepConfig(_Model):
     min_range: float = _setting(0.2, "nearer returns are the robot itself", "m", ge=0, le=10)
     max_range: float = _setting(30.0, "farther returns are not used", "m", ge=0.5, le=200)
     voxel: float = _setting(
-        0.12, "sweeps are matched with one point a cube of this edge; the cloud keeps all", "m", ge=0.01, le=2
+        0.14, "sweeps are matched with one point a cube of this edge; the cloud keeps all", "m", ge=0.01, le=2
     )
     first_gate: float = _setting(1.5, "farthest points that are paired at first", "m", ge=0.1, le=20)
     last_gate: float = _setting(0.3, "farthest points that are paired at last", "m", ge=0.02, le=5)
@@ -197,6 +197,30 @@ class SweepConfig(_Model):
     )
     odometry_angle: float = _setting(
         0.1, "standard deviation of the heading of odometry between two sweeps", "rad", ge=0.001, le=4
+    )
+
+    min_tilt: float = _setting(
+        0.35, "tilting laser: a sweep whose tilt covers less is refused", "rad", ge=0.01, le=2 * math.pi
+    )
+    max_tilt_step: float = _setting(
+        0.1,
+        "tilting laser: a sweep whose tilt jumps further from one angle to the next is refused",
+        "rad",
+        ge=0.001,
+        le=4,
+    )
+    max_motion: float = _setting(
+        0.01, "tilting laser: a sweep during which the robot moved further is refused", "m", ge=0, le=1
+    )
+    max_turn: float = _setting(
+        0.01, "tilting laser: a sweep during which the robot turned further is refused", "rad", ge=0, le=1
+    )
+    max_gap: float = _setting(
+        0.5,
+        "tilting laser: scans farther apart in time are of two sweeps; poses are not odometry between",
+        "s",
+        ge=0.001,
+        le=60,
     )
 
     @model_validator(mode="after")

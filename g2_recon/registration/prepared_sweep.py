@@ -26,7 +26,8 @@ _NEIGHBORS = 10
 _IMPLAUSIBLE_MEDIAN_M = 200.0
 
 # A neighborhood this much thinner than wide is a plane.
-_FLAT = 0.01
+_FLAT = 0.02
+_FEWEST_ON_PLANE = 5
 
 _BIN = math.radians(2.0)
 _AZIMUTHS, _ELEVATIONS = 180, 90
@@ -70,15 +71,13 @@ def prepare(sweep: Cloud | Float, config: SweepConfig) -> PreparedSweep:
     few are left, or they all are in nearly the same place.
     """
     points = usable(sweep.points if isinstance(sweep, Cloud) else np.asarray(sweep, float), config)
-    thinned, counts = _thinned(points, config.voxel)
+    thinned = _thinned(points, config.voxel)
     if len(thinned) < _FEWEST_POINTS:
         raise InputError(
             f"a sweep of {len(points)} points fills {len(thinned)} voxels of {config.voxel:g} m only: too few to match",
             advice="leave it out, or check its unit (metres; set scale) and voxel",
         )
-    neighbors, _ = small_gicp.KdTree(small_gicp.PointCloud(thinned)).batch_knn_search(thinned, _NEIGHBORS)
-    flatten(thinned, counts, neighbors, placed := thinned.copy())
-    cloud = small_gicp.PointCloud(placed)
+    cloud = small_gicp.PointCloud(thinned)
     tree = small_gicp.KdTree(cloud)
     small_gicp.estimate_normals_covariances(cloud, tree, _NEIGHBORS)
     return PreparedSweep(
@@ -125,45 +124,65 @@ def implausible_scale(points: Float, config: SweepConfig) -> str:
     )
 
 
-def _thinned(points: Float, voxel: float) -> tuple[Float, Float]:
-    """Means (M, 3) of the points (N, 3) in each cube of edge `voxel` in metres, and how many (M,) each is of."""
+def _thinned(points: Float, voxel: float) -> Float:
+    """Points (M, 3), one in each cube of edge `voxel` (m) that any of (N, 3) is in: on the plane there, if any."""
     cells = np.floor(points / voxel).astype(np.int64)
-    x, y, z = (cells - cells.min(axis=0)).T
-    keys = (x * (y.max() + 1) + y) * (z.max() + 1) + z
+    cells -= cells.min(axis=0) - 1
+    # Steps from cube to cube, with an empty one at each end.
+    step_y = int(cells[:, 2].max()) + 2
+    step_x = step_y * (int(cells[:, 1].max()) + 2)
+    keys = cells @ np.array([step_x, step_y, 1])
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
     counts = np.diff(first, append=len(keys)).astype(float)
-    return np.add.reduceat(points[order], first) / counts[:, None], counts
+    means = np.add.reduceat(points[order], first) / counts[:, None]
+    return np.asarray(flatten(means, counts, keys[order][first], np.array([step_x, step_y])))
 
 
 @numba.njit(cache=True, nogil=True)
-def flatten(points, counts, neighbors, result):  # type: ignore[no-untyped-def]
-    """Move each of points (M, 3) that lies on a plane with its neighbors (M, K) onto that plane.
+def flatten(points, counts, keys, steps):  # type: ignore[no-untyped-def]
+    """Points (M, 3), each that lies on a plane with those in the 26 cubes around it moved onto that plane.
 
-    A wall near the border of voxels leaves the tail of its noise in voxels of their own, which would count as much as
-    the others: weighted by how many points each voxel had, the plane is where the wall is. Smallest eigenvalue and its
-    vector after O. K. Smith, "Eigenvalues of a symmetric 3 x 3 matrix", CACM 4(4), 1961.
+    A wall near the border of cubes leaves the tail of its noise in cubes of their own, which would count as much as
+    the others: weighted by how many points (M,) each cube had, the plane is where the wall is. keys: (M,) numbers of
+    the cubes, ascending; steps: (2,) between cubes beside each other in x and in y; in z it is 1. Smallest eigenvalue
+    and its vector after O. K. Smith, "Eigenvalues of a symmetric 3 x 3 matrix", CACM 4(4), 1961.
     """
+    result = points.copy()
+    columns = np.zeros(9, np.int64)
+    neighbors = np.empty(27, np.int64)
     A = np.empty((3, 3))
     center = np.empty(3)
     normal = np.empty(3)
     for row in range(len(points)):
+        found = 0
+        for column in range(9):
+            # Keys ascend, so where a column of three cubes begins moves on from row to row.
+            lowest = keys[row] + (column // 3 - 1) * steps[0] + (column % 3 - 1) * steps[1] - 1
+            at = columns[column]
+            while at < len(keys) and keys[at] < lowest:
+                at += 1
+            columns[column] = at
+            while at < len(keys) and keys[at] <= lowest + 2:
+                neighbors[found] = at
+                found += 1
+                at += 1
         total = 0.0
         center[:] = 0.0
-        for k in neighbors[row]:
+        for k in neighbors[:found]:
             total += counts[k]
             for u in range(3):
                 center[u] += counts[k] * points[k, u]
         center /= total
         A[:] = 0.0
-        for k in neighbors[row]:
+        for k in neighbors[:found]:
             for u in range(3):
                 for v in range(3):
                     A[u, v] += counts[k] / total * (points[k, u] - center[u]) * (points[k, v] - center[v])
         mean = (A[0, 0] + A[1, 1] + A[2, 2]) / 3
         off = A[0, 1] ** 2 + A[0, 2] ** 2 + A[1, 2] ** 2
         p = math.sqrt(((A[0, 0] - mean) ** 2 + (A[1, 1] - mean) ** 2 + (A[2, 2] - mean) ** 2 + 2 * off) / 6)
-        if p <= 0.0:
+        if found < _FEWEST_ON_PLANE or p <= 0.0:
             continue
         b00, b11, b22 = (A[0, 0] - mean) / p, (A[1, 1] - mean) / p, (A[2, 2] - mean) / p
         b01, b02, b12 = A[0, 1] / p, A[0, 2] / p, A[1, 2] / p
@@ -203,6 +222,7 @@ def flatten(points, counts, neighbors, result):  # type: ignore[no-untyped-def]
                 off_plane += normal[u] * (points[row, u] - center[u])
             for u in range(3):
                 result[row, u] = points[row, u] - off_plane * normal[u]
+    return result
 
 
 def _nearest(points: Float) -> Float:

@@ -43,13 +43,14 @@ class Edge:
 
 def optimize(poses: Float, edges: Sequence[Edge], *, held: int = 0) -> Float:
     """Poses T_map_sweep (N, 4, 4) that fit the edges best, from where they are; pose `held` stays."""
-    poses = poses.copy()
+    poses = np.array(poses)
     for _ in range(_ITERATIONS):
         matrix, right = _normal_equations(poses, edges, held)
-        step = sparse_linalg.spsolve(matrix, right).reshape(-1, 6)
+        step = np.asarray(sparse_linalg.spsolve(matrix, right), float).reshape(-1, 6)
         poses[:, :3, 3] += step[:, :3]
-        poses[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ poses[:, :3, :3]
-        if np.abs(step).max() < _DONE:
+        turns = np.asarray(Rotation.from_rotvec(step[:, 3:]).as_matrix())
+        poses[:, :3, :3] = np.matmul(turns, poses[:, :3, :3])
+        if np.linalg.norm(step) < _DONE:
             break
     return poses
 

@@ -38,6 +38,18 @@ class PlacedSweep:
     reason: str
     matches: tuple[tuple[int, Match], ...] = ()
 
+    def describe(self) -> str:
+        """One line of words and numbers."""
+        believed = [found for _, found in self.matches if not found.refused]
+        if not believed:
+            return f"{self.quality}: {self.reason}" if self.reason else self.quality
+        best = max(believed, key=lambda found: found.overlap)
+        text = (
+            f"{self.quality}, {len(believed)} of {len(self.matches)} matches; the best overlaps by {best.overlap:.0%}, "
+            f"{best.inlier_share:.0%} inliers, {1000 * best.residual:.0f} mm apart"
+        )
+        return f"{text}; {self.reason}" if self.reason else text
+
 
 class SweepMerger:
     """Lays each new sweep on those before it and keeps all poses consistent.
@@ -55,7 +67,7 @@ class SweepMerger:
         self._sweeps: list[PreparedSweep] = []
         self._numbers: list[int] = []
         self._guesses: list[Float | None] = []
-        self._poses = np.empty((0, 4, 4))
+        self._poses: Float = np.empty((0, 4, 4))
         self._edges: list[Edge] = []
         self._added = 0
 
