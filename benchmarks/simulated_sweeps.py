@@ -121,3 +121,23 @@ def errors(T_estimate: Float, T_truth: Float) -> tuple[float, float]:
     apart = se3.inverse(T_truth) @ T_estimate
     angle = math.degrees(Rotation.from_matrix(apart[:3, :3]).magnitude())
     return float(np.linalg.norm(apart[:3, 3])), angle
+
+
+def two_rooms(rng: np.random.Generator) -> tuple[Rectangles, list[Float]]:
+    """Two furnished rooms of random size with a wall between and no door, and a stop in each, 1 m or more from walls."""
+    depth = rng.uniform(4.0, 8.0, 2)
+    width = rng.uniform(4.0, 8.0, 2)
+    begin = (0.0, width[0] + 0.12)
+    rooms = [room((begin[k], begin[k] + width[k]), (0.0, depth[k])) for k in range(2)]
+    furniture = []
+    for k in range(2):
+        for _ in range(3):
+            wide, deep, high = rng.uniform(0.4, 1.2), rng.uniform(0.3, 0.6), rng.uniform(0.4, 2.0)
+            at = begin[k] + rng.uniform(0.0, width[k] - wide)
+            side = (0.0, deep) if rng.random() < 0.5 else (depth[k] - deep, depth[k])
+            furniture.append(cabinet((at, at + wide), side, high))
+    stops = [
+        stop(begin[k] + rng.uniform(1.0, width[k] - 1.0), rng.uniform(1.0, depth[k] - 1.0), rng.uniform(-180, 180))
+        for k in range(2)
+    ]
+    return surfaces(_building((begin[1] + width[1], max(depth)), rooms, tuple(furniture))), stops

@@ -24,6 +24,7 @@ Float = NDArray[np.float64]
 _ON_SURFACE_M = 0.06
 _IN_FRONT_M = 0.15
 _PARALLEL = 0.95
+_LEVEL = 0.7
 # Every so manyth point is enough to judge by.
 _STEP = 2
 
@@ -33,7 +34,8 @@ class Agreement:
     """What the moving sweep says about the fixed one at one place.
 
     overlap: share of the sweep with fewer points that has a point of the other near it. inlier_share: of what both
-    should see, the share on the same surface: the rest lies beside it or where the other one looked through.
+    should see, the share on the same surface: the rest lies beside it or where the other one looked through. Both are
+    those of walls or those of floors and ceilings, whichever is less.
     residual: RMS distance of the inliers from the surface in m. hessian (6, 6) and gradient (6,): of half the sum of
     their squared distances. shares: (6,) eigenvalues of the hessian a pair, radians counted as metres at `radius`,
     ascending; directions: (6, 6), a column each.
@@ -66,7 +68,17 @@ def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float
     through_back = moving.seen_through(back, _IN_FRONT_M)
     through_back[through_back] = moving.pairs(back[through_back])[1] >= config.last_gate
     inliers = int(on_surface.sum())
-    against = int(parallel.sum()) - inliers + int(through.sum()) + int(through_back.sum())
+    # Floors and ceilings fit each other anywhere, so that walls have to fit on their own.
+    level = np.abs(others[:, 2]) > _LEVEL
+    level_back = np.abs(fixed.normals[::_STEP] @ T_fixed_moving[:3, 2]) > _LEVEL
+    inlier_shares, overlaps = [], []
+    for here, there in ((level, level_back), (~level, ~level_back)):
+        fit = int(np.sum(on_surface & here))
+        against = int(np.sum((parallel & ~on_surface | through) & here)) + int(np.sum(through_back & there))
+        if fit + against:
+            inlier_shares.append(fit / (fit + against))
+        if here.any() and there.any():
+            overlaps.append(float(np.sum(near & here)) / min(int(here.sum()), int(there.sum())))
 
     arms, errors = placed[on_surface] - T_fixed_moving[:3, 3], off[on_surface]
     J = _jacobian(arms, normals[on_surface])
@@ -77,8 +89,8 @@ def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float
     scaling = np.repeat([1.0, 1.0 / max(radius, 1e-3)], 3)
     shares, directions = np.linalg.eigh((crossed + crossed.T) / 2 * np.outer(scaling, scaling) / max(inliers, 1))
     return Agreement(
-        overlap=_STEP * float(near.sum()) / min(len(moving.points), len(fixed.points)),
-        inlier_share=inliers / max(inliers + against, 1),
+        overlap=min(1.0, *overlaps, math.inf) if overlaps else 0.0,
+        inlier_share=min(inlier_shares, default=0.0),
         residual=float(np.sqrt(np.mean(errors**2))) if len(errors) else math.inf,
         hessian=hessian,
         gradient=_STEP * J.T @ errors,

@@ -37,6 +37,8 @@ _HELD_STEPS = 3
 # Two places this far apart that fit about equally well: neither is to be believed.
 _SAME_M, _SAME_RAD = 0.1, math.radians(3.0)
 _EQUALLY_WELL = 0.97
+# Without a search no match turns a sweep further than this.
+_FARTHEST_TURN_RAD = math.radians(30.0)
 _STRAIGHT = 0.97
 _AXES = "xyz"
 
@@ -133,7 +135,8 @@ def _match_from(start: Float, moving: PreparedSweep, fixed: PreparedSweep, guess
 
 def _why_refused(seen: Agreement, T: Float, guess: Float, strong: int, config: SweepConfig) -> str:
     """What speaks against a match; empty if nothing does."""
-    metres = float(np.linalg.norm(T[:2, 3] - guess[:2, 3]))
+    metres = float(np.linalg.norm(T[:3, 3] - guess[:3, 3]))
+    radians = float(np.linalg.norm(_rotation_vector(T[:3, :3] @ guess[:3, :3].T)))
     if seen.overlap < config.min_overlap:
         return f"only {seen.overlap:.0%} of the points overlap, less than min_overlap ({config.min_overlap:.0%})"
     if seen.inlier_share < config.min_inliers:
@@ -145,8 +148,8 @@ def _why_refused(seen: Agreement, T: Float, guess: Float, strong: int, config: S
         return f"surfaces are {seen.residual:.3f} m apart, more than max_residual ({config.max_residual:g} m)"
     if strong < 3:
         return f"the sweeps hold each other in {strong} of 6 directions only"
-    if metres > max(config.search, config.first_gate) * math.sqrt(2):
-        return f"it is {metres:.1f} m from where odometry has it"
+    if metres > max(config.search, config.first_gate) or radians > max(config.search_angle, _FARTHEST_TURN_RAD):
+        return f"it is {metres:.1f} m and {math.degrees(radians):.0f} deg from the guess"
     return ""
 
 

@@ -22,6 +22,9 @@ Float = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
+# Standard deviations of odometry beyond which a match is not believed.
+_CREDIBLE = 5.0
+
 
 @dataclass(frozen=True, slots=True)
 class PlacedSweep:
@@ -118,7 +121,8 @@ class SweepMerger:
             self._keep(prepared, number, guess, np.eye(4) if guess is None else guess, [])
             return PlacedSweep(number, True, "first", "")
         step = self._driven(guess)
-        matches = self._matched(prepared, self._poses[-1] @ (np.eye(4) if step is None else step), step is not None)
+        predicted = self._poses[-1] @ (np.eye(4) if step is None else step)
+        matches = self._matched(prepared, predicted, None if step is None else self._odometry(0, 1, step))
         believed = [(index, found) for index, found in matches if not found.refused]
         named = tuple((self._numbers[index], found) for index, found in matches)
         if not believed and step is None:
@@ -142,23 +146,31 @@ class SweepMerger:
         before = self._guesses[-1]
         return None if guess is None or before is None else sweep_graph.relative(before, guess)
 
-    def _matched(self, prepared: PreparedSweep, predicted: Float, odometry: bool) -> list[tuple[int, Match]]:
+    def _matched(self, prepared: PreparedSweep, predicted: Float, odometry: Edge | None) -> list[tuple[int, Match]]:
         """The sweep laid on those near where it must be; a match that is good makes the guess for the next ones."""
         distances = np.linalg.norm(self._poses[:, :3, 3] - predicted[:3, 3], axis=1)
         near = [int(i) for i in np.argsort(distances, kind="stable") if distances[i] <= self._config.max_distance]
         if not self._config.loop_closure:
             near = [len(self) - 1]
         matches: list[tuple[int, Match]] = []
-        config, sure = self._config, False
+        config, sure, driven = self._config, False, predicted
         for index in near[: self._config.neighbors]:
             found = match(prepared, self._sweeps[index], sweep_graph.relative(self._poses[index], predicted), config)
-            if found.weak and not found.refused and not odometry:
-                found = found.but_refused(f"without odometry nothing says where it is {', '.join(found.weak)}")
+            if not found.refused:
+                found = found.but_refused(self._against_odometry(self._poses[index] @ found.T, driven, found, odometry))
             matches.append((index, found))
             if not sure and found.quality == "good":
                 predicted, sure = self._poses[index] @ found.T, True
                 config = self._config.model_copy(update={"search": 0.0, "search_angle": 0.0})
         return matches
+
+    def _against_odometry(self, pose: Float, driven: Float, found: Match, odometry: Edge | None) -> str:
+        """Why a match that puts the sweep at a pose cannot be, by odometry that has it at `driven`; empty if it can."""
+        if odometry is None:
+            return f"without odometry nothing says where it is {', '.join(found.weak)}" if found.weak else ""
+        apart = Edge(0, 1, np.eye(4), odometry.information)
+        sigmas = sweep_graph.deviation(np.stack([driven, pose]), apart)
+        return f"it is {sigmas:.0f} standard deviations from where odometry has it" if sigmas > _CREDIBLE else ""
 
     def _odometry(self, first: int, second: int, step: Float) -> Edge:
         return sweep_graph.odometry_edge(
