@@ -124,7 +124,7 @@ def errors(T_estimate: Float, T_truth: Float) -> tuple[float, float]:
 
 
 def two_rooms(rng: np.random.Generator) -> tuple[Rectangles, list[Float]]:
-    """Two furnished rooms of random size with a wall between and no door, and a stop in each, 1 m or more from walls."""
+    """Two furnished rooms of random size with a wall between and no door, and a stop in each, 1 m from walls."""
     depth = rng.uniform(4.0, 8.0, 2)
     width = rng.uniform(4.0, 8.0, 2)
     begin = (0.0, width[0] + 0.12)

@@ -160,7 +160,7 @@ class SweepConfig(_Model):
         0.14, "sweeps are matched with one point a cube of this edge; the cloud keeps all", "m", ge=0.01, le=2
     )
     first_gate: float = _setting(1.5, "farthest points that are paired at first", "m", ge=0.1, le=20)
-    last_gate: float = _setting(0.3, "farthest points that are paired at last", "m", ge=0.02, le=5)
+    last_gate: float = _setting(0.1, "farthest points that are paired at last", "m", ge=0.02, le=5)
     search: float = _setting(
         2.0, "where a match from the guess is refused, places this far around it are tried; 0: none", "m", ge=0, le=20
     )

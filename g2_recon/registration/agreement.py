@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.config import SweepConfig
 from g2_recon.geometry import se3
 from g2_recon.registration.prepared_sweep import PreparedSweep
 
 Float = NDArray[np.float64]
 
+# Points farther apart are not of the same surface.
+_NEAR_M = 0.3
 # How far off a surface a point may lie that was measured on it, and how far in front of what is seen behind it.
 _ON_SURFACE_M = 0.06
 _IN_FRONT_M = 0.15
@@ -51,11 +52,11 @@ class Agreement:
     radius: float
 
 
-def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, config: SweepConfig) -> Agreement:
+def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float) -> Agreement:
     """Lay the moving sweep on the fixed one and look."""
     placed = se3.transform_points(T_fixed_moving, moving.points[::_STEP])
     rows, distances = fixed.pairs(placed)
-    near = distances < config.last_gate
+    near = distances < _NEAR_M
     normals, others = fixed.normals[rows], moving.normals[::_STEP] @ T_fixed_moving[:3, :3].T
     off = np.einsum("ij,ij->i", normals, placed - fixed.points[rows])
     # Where normals differ there is an edge, or too few beams to tell the normal: such pairs say nothing.
@@ -66,7 +67,7 @@ def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float
     back = se3.transform_points(se3.inverse(T_fixed_moving), fixed.points[::_STEP])
     through = ~near & fixed.seen_through(placed, _IN_FRONT_M)
     through_back = moving.seen_through(back, _IN_FRONT_M)
-    through_back[through_back] = moving.pairs(back[through_back])[1] >= config.last_gate
+    through_back[through_back] = moving.pairs(back[through_back])[1] >= _NEAR_M
     inliers = int(on_surface.sum())
     # Floors and ceilings fit each other anywhere, so that walls have to fit on their own.
     level = np.abs(others[:, 2]) > _LEVEL

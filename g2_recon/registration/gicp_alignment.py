@@ -11,7 +11,6 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from g2_recon.config import SweepConfig
 from g2_recon.registration.prepared_sweep import PreparedSweep
 
 Float = NDArray[np.float64]
@@ -19,21 +18,27 @@ Float = NDArray[np.float64]
 # Every so manyth point is enough while pairs are far.
 _COARSE_STEP = 3
 _ITERATIONS = 30
+# Edges of shadows are within a wide gate, and few guesses within a narrow one.
+_MIDDLE = 3.0
 
 
-def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, config: SweepConfig) -> Float:
-    """T_fixed_moving (4, 4) from a guess (4, 4).
+def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, gate: float, last_gate: float) -> Float:
+    """T_fixed_moving (4, 4) from a guess (4, 4), with pairs nearer than `gate` at first and `last_gate` at last.
 
     What small_gicp says of its result is not looked at: `converged` is true also where no pair was found.
     """
-    near = roughly(moving, fixed, T_fixed_moving, config)
-    return _aligned("GICP", moving.gicp, fixed, near, config.last_gate)
+    middle = _MIDDLE * last_gate
+    if gate > middle:
+        T_fixed_moving = roughly(moving, fixed, T_fixed_moving, gate)
+    for near in (middle, last_gate):
+        T_fixed_moving = _aligned("GICP", moving.gicp, fixed, T_fixed_moving, near)
+    return T_fixed_moving
 
 
-def roughly(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, config: SweepConfig) -> Float:
+def roughly(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, gate: float) -> Float:
     """T_fixed_moving (4, 4) from a poor guess (4, 4) to within some centimetres: point-to-plane ICP with far pairs."""
     few = small_gicp.PointCloud(moving.points[::_COARSE_STEP])
-    return _aligned("PLANE_ICP", few, fixed, T_fixed_moving, config.first_gate)
+    return _aligned("PLANE_ICP", few, fixed, T_fixed_moving, gate)
 
 
 def _aligned(

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.config import SweepConfig
 from g2_recon.geometry import se3
 from g2_recon.registration.prepared_sweep import PreparedSweep
 
@@ -25,10 +24,15 @@ _FIRST_KERNEL_M, _LAST_KERNEL_M = 0.3, 0.05
 _ITERATIONS = 100
 _CONVERGENCE = 1e-5
 _FAR_M = 1e6
+# The kernel makes far pairs weak, so that the gate may stay wider.
+_MIDDLE = 3.0
 
 
-def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, config: SweepConfig) -> Float:
-    """T_fixed_moving (4, 4) from a guess (4, 4)."""
+def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, gate: float, last_gate: float) -> Float:
+    """T_fixed_moving (4, 4) from a guess (4, 4), with pairs nearer than `gate` at first.
+
+    Raises InputError where the guess is not finite or no rotation.
+    """
     # Not needed by the other methods, and slow to import.
     from kiss_icp.mapping import VoxelHashMap
     from kiss_icp.registration import Registration
@@ -36,12 +40,12 @@ def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, co
 
     guess = se3.orthonormal(T_fixed_moving)
     registration = Registration(max_num_iterations=_ITERATIONS, convergence_criterion=_CONVERGENCE, max_num_threads=1)
-    for voxel, gate, kernel in (
-        (_FIRST_VOXEL_M, config.first_gate, _FIRST_KERNEL_M),
-        (_LAST_VOXEL_M, config.last_gate, _LAST_KERNEL_M),
+    for voxel, reach, kernel in (
+        (_FIRST_VOXEL_M, gate, _FIRST_KERNEL_M),
+        (_LAST_VOXEL_M, _MIDDLE * last_gate, _LAST_KERNEL_M),
     ):
         voxels = VoxelHashMap(voxel_size=voxel, max_distance=_FAR_M, max_points_per_voxel=_POINTS_A_VOXEL)
         voxels.add_points(fixed.measured)
         thinned = voxel_down_sample(moving.measured, voxel)
-        guess = se3.orthonormal(registration.align_points_to_map(thinned, voxels, guess, gate, kernel))
+        guess = se3.orthonormal(registration.align_points_to_map(thinned, voxels, guess, reach, kernel))
     return guess

@@ -9,6 +9,7 @@ radians about them through the pose.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -50,7 +51,7 @@ def optimize(poses: Float, edges: Sequence[Edge], *, held: int = 0) -> Float:
         poses[:, :3, 3] += step[:, :3]
         turns = np.asarray(Rotation.from_rotvec(step[:, 3:]).as_matrix())
         poses[:, :3, :3] = np.matmul(turns, poses[:, :3, :3])
-        if np.linalg.norm(step) < _DONE:
+        if bool((step**2 < _DONE**2).all()):
             break
     return poses
 
@@ -65,7 +66,7 @@ def covariances(poses: Float, edges: Sequence[Edge], *, held: int = 0) -> Float:
 def deviation(poses: Float, edge: Edge) -> float:
     """How far the poses (N, 4, 4) are from an edge, in standard deviations of all six directions together."""
     error, _ = _linearized(poses[edge.first], poses[edge.second], edge.T)
-    return float(np.sqrt(max(error @ edge.information @ error, 0.0)))
+    return math.sqrt(max(float(error @ edge.information @ error), 0.0))
 
 
 def _normal_equations(poses: Float, edges: Sequence[Edge], held: int) -> tuple[sparse.csc_matrix, Float]:

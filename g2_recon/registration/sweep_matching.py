@@ -34,6 +34,10 @@ _ALIKE = 20.0
 _SUREST_M = 0.001
 _SMALLEST_RESIDUAL_M = 0.002
 _HELD_STEPS = 3
+# Times the last gate: pairs of a guess that is good.
+_NEAR = 3.0
+# Share of inliers at a guess from which on it is good.
+_NEARLY = 0.5
 # Two places this far apart that fit about equally well: neither is to be believed.
 _SAME_M, _SAME_RAD = 0.1, math.radians(3.0)
 _EQUALLY_WELL = 0.97
@@ -77,16 +81,20 @@ def match(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: S
     Raises InputError where the guess is not finite or no rotation.
     """
     guess = se3.orthonormal(T_guess)
-    first = _match_from(guess, moving, fixed, guess, config)
+    # A wide gate can lead away from a guess that is good, and a narrow one misses what is far.
+    gates = [_NEAR * config.last_gate, config.first_gate]
+    if agreement(moving, fixed, guess).inlier_share < _NEARLY:
+        gates.reverse()
+    first = _match_from(guess, moving, fixed, guess, gates[0], config)
+    if first.quality != "good":
+        first = max(first, _match_from(guess, moving, fixed, guess, gates[1], config), key=_preference)
     if not first.refused or not (config.search or config.search_angle):
         return first
-    found = [_match_from(start, moving, fixed, guess, config) for start in _places(moving, fixed, guess, config)]
-    # A wrong place may hold a sweep less than the right one: what is missing there is what would hold it.
-    accepted = sorted(
-        (other for other in found if not other.refused), key=lambda other: (bool(other.weak), -_support(other))
-    )
+    gate = _NEAR * config.last_gate
+    found = [_match_from(start, moving, fixed, guess, gate, config) for start in _places(moving, fixed, guess, config)]
+    accepted = sorted((other for other in found if not other.refused), key=_preference, reverse=True)
     if not accepted:
-        return max([first, *found], key=_support)
+        return max([first, *found], key=_preference)
     best = accepted[0]
     for other in accepted[1:]:
         if (
@@ -103,16 +111,18 @@ def _places(moving: PreparedSweep, fixed: PreparedSweep, guess: Float, config: S
     """Where the moving sweep may lie around the guess, each place once."""
     places: list[Float] = []
     for candidate in candidates(moving, fixed, guess, config):
-        place = se3.orthonormal(gicp_alignment.roughly(moving, fixed, candidate, config))
+        place = se3.orthonormal(gicp_alignment.roughly(moving, fixed, candidate, config.first_gate))
         if not any(_same_place(place, other) for other in places):
             places.append(place)
     return places
 
 
-def _match_from(start: Float, moving: PreparedSweep, fixed: PreparedSweep, guess: Float, config: SweepConfig) -> Match:
+def _match_from(
+    start: Float, moving: PreparedSweep, fixed: PreparedSweep, guess: Float, gate: float, config: SweepConfig
+) -> Match:
     """The match that the method finds from one start; what it leaves open is left to the guess."""
-    T = se3.orthonormal(METHODS[config.method].align(moving, fixed, start, config))
-    seen = agreement(moving, fixed, T, config)
+    T = se3.orthonormal(METHODS[config.method].align(moving, fixed, start, gate, config.last_gate))
+    seen = agreement(moving, fixed, T)
     strong, weak = (
         seen.directions[:, seen.shares >= config.weak_share],
         seen.directions[:, seen.shares < config.weak_share],
@@ -120,8 +130,8 @@ def _match_from(start: Float, moving: PreparedSweep, fixed: PreparedSweep, guess
     if weak.size and strong.size:
         T = _held(T, guess, weak, seen.radius)
         for _ in range(_HELD_STEPS):
-            T = _stepped(T, agreement(moving, fixed, T, config), strong, seen.radius)
-        seen = agreement(moving, fixed, T, config)
+            T = _stepped(T, agreement(moving, fixed, T), strong, seen.radius)
+        seen = agreement(moving, fixed, T)
     return Match(
         T=T,
         information=_information(seen, strong, seen.radius),
@@ -151,6 +161,11 @@ def _why_refused(seen: Agreement, T: Float, guess: Float, strong: int, config: S
     if metres > max(config.search, config.first_gate) or radians > max(config.search_angle, _FARTHEST_TURN_RAD):
         return f"it is {metres:.1f} m and {math.degrees(radians):.0f} deg from the guess"
     return ""
+
+
+def _preference(found: Match) -> tuple[bool, bool, float]:
+    """A wrong place may hold a sweep less than the right one: what is missing there is what would hold it."""
+    return not found.refused, not found.weak, _support(found)
 
 
 def _support(found: Match) -> float:
