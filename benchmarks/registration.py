@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""All tables of docs/registration_benchmarks.md: how well stop-and-go sweeps are laid on each other, and what is refused.
+"""All tables of docs/registration_benchmarks.md: how well stop-and-go sweeps are merged, and what is refused.
 
 Usage: python benchmarks/registration.py [--data FOLDER] [--only TABLE ...] [--quick] [--out FOLDER]
 
@@ -67,8 +67,9 @@ pcl_room: two sweeps of a room, from the robot's odometry, which is 0.7 m off. I
 walls with a level robot: position and heading only. Starts: {PCL_STARTS} guesses at random within {PCL_START_M:g} m and
 {PCL_START_DEG:g} deg of it; right: believed, within {100 * PCL_RIGHT_STARTS_M:.0f} cm and {RIGHT_DEG} deg of heading.
 3dtk: three sweeps of a pitching laser in a corridor, beside what slam6D made of them (.frames), from its odometry
-(.pose), and from a guess 30 cm and 8 deg off that. Walls and floors of these sweeps do not fit each other rigidly: half
-of what both see lies within 6 cm, so min_inliers is {SLAM6D_SETTINGS["min_inliers"]}; with the default all are refused."""
+(.pose), and from a guess 30 cm and 8 deg off that. Walls and floors of these sweeps do not fit each other rigidly, no
+method has more than two thirds within 6 cm: min_inliers is {SLAM6D_SETTINGS["min_inliers"]}, and with the default all
+are refused."""
 RING_NOTE = """\
 12 stops in a corridor round a block of four rooms, 4.6 m apart, odometry 10 cm and 3 deg off a step. Error of the last
 sweep as seen from the first, and the largest of all sweeps, three seeds."""
@@ -312,8 +313,9 @@ Made by
     python benchmarks/registration.py --data FOLDER
 
 which takes some minutes; `--only TABLE` makes one of {", ".join(TABLES)} anew, `--quick` shows that all of
-it runs. The result is in `out/benchmarks/`; this page is copied from there. FOLDER holds `sweeps/pcl_room/room_scan*.pcd` and
-`sweeps/3dtk/scan00*` (the sample scans of 3DTK); without `--data` they are left out.
+it runs. The result is in `out/benchmarks/`; this page is copied from there. FOLDER holds
+`sweeps/pcl_room/room_scan*.pcd` and `sweeps/3dtk/scan00*` (the sample scans of 3DTK); without `--data` they are left
+out.
 """
 
 
