@@ -81,6 +81,11 @@ def match(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: S
     Raises InputError where the guess is not finite or no rotation.
     """
     guess = se3.orthonormal(T_guess)
+    metres = float(np.linalg.norm(guess[:3, 3]))
+    if metres > 2 * config.max_range + config.search + config.first_gate:
+        return Match(
+            guess, np.zeros((6, 6)), 0.0, 0.0, math.inf, (), f"sweeps {metres:.0f} m apart see nothing in common"
+        )
     # A wide gate can lead away from a guess that is good, and a narrow one misses what is far.
     gates = [_NEAR * config.last_gate, config.first_gate]
     if agreement(moving, fixed, guess).inlier_share < _NEARLY:

@@ -6,6 +6,7 @@ import simulated_sweeps
 
 from g2_recon.config import SweepConfig
 from g2_recon.errors import InputError
+from g2_recon.geometry import se3
 from g2_recon.registration.prepared_sweep import prepare
 from g2_recon.registration.sweep_matching import METHODS, match
 
@@ -61,6 +62,11 @@ def test_too_little_overlap_is_refused(room):
     far = room.points[0][np.linalg.norm(room.points[0], axis=1) > 5.0]
     found = match(prepare(near, CONFIG), prepare(far, CONFIG), room.T, CONFIG)
     assert "overlap" in found.refused
+
+
+def test_sweeps_too_far_apart_to_see_the_same_are_refused(room):
+    found = match(room.moving, room.fixed, se3.from_xyz_rpy([5e6, 0, 0, 0, 0, 0]), CONFIG)
+    assert found.refused == "sweeps 5000000 m apart see nothing in common"
 
 
 def test_a_match_far_from_its_guess_is_refused(room):
