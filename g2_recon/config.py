@@ -184,7 +184,7 @@ class SweepConfig(_Model):
         le=1,
     )
     weak_share: float = _setting(
-        0.004,
+        0.005,
         "a direction is left to odometry where less than this share of the normals, squared, points along it",
         ge=0,
         le=0.3,

@@ -24,7 +24,7 @@ _NEAR_M = 0.3
 # How far off a surface a point may lie that was measured on it, and how far in front of what is seen behind it.
 _ON_SURFACE_M = 0.06
 _IN_FRONT_M = 0.15
-_PARALLEL = 0.95
+_PARALLEL = 0.99
 _LEVEL = 0.7
 # Every so manyth point is enough to judge by.
 _STEP = 2

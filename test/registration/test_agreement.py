@@ -32,7 +32,7 @@ def test_floors_and_ceilings_alone_do_not_make_agreement(room):
 
 def test_a_corridor_is_open_along_its_axis_and_a_room_is_not(room, corridor):
     weak = agreement(corridor.moving, corridor.fixed, corridor.T)
-    assert weak.shares[0] < 0.004 < weak.shares[1]
+    assert weak.shares[0] < 0.005 < weak.shares[1]
     axis = [np.cos(np.radians(20)), -np.sin(np.radians(20)), 0]
     assert abs(weak.directions[:3, 0] @ axis) > 0.99
     assert agreement(room.moving, room.fixed, room.T).shares[0] > 0.02
