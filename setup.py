@@ -65,6 +65,8 @@ setup(
         "trimesh>=4.6",
         "matplotlib>=3.6",
         "rich>=13.7",
+        "small_gicp>=1.0.1",
+        "kiss-icp>=1.3.0",
     ],
     extras_require={
         "ros": [

@@ -24,6 +24,8 @@ _log = logging.getLogger(__name__)
 
 # Standard deviations of odometry beyond which a match is not believed.
 _CREDIBLE = 5.0
+# Only on so many of the nearest sweeps are places around the guess tried.
+_SEARCHED = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,14 +156,15 @@ class SweepMerger:
             near = [len(self) - 1]
         matches: list[tuple[int, Match]] = []
         config, sure, driven = self._config, False, predicted
-        for index in near[: self._config.neighbors]:
+        for count, index in enumerate(near[: self._config.neighbors]):
+            if sure or count >= _SEARCHED:
+                config = self._config.model_copy(update={"search": 0.0, "search_angle": 0.0})
             found = match(prepared, self._sweeps[index], sweep_graph.relative(self._poses[index], predicted), config)
             if not found.refused:
                 found = found.but_refused(self._against_odometry(self._poses[index] @ found.T, driven, found, odometry))
             matches.append((index, found))
             if not sure and found.quality == "good":
                 predicted, sure = self._poses[index] @ found.T, True
-                config = self._config.model_copy(update={"search": 0.0, "search_angle": 0.0})
         return matches
 
     def _against_odometry(self, pose: Float, driven: Float, found: Match, odometry: Edge | None) -> str:
