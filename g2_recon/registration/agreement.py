@@ -26,8 +26,6 @@ _ON_SURFACE_M = 0.06
 _IN_FRONT_M = 0.15
 _PARALLEL = 0.99
 _LEVEL = 0.7
-# Every so manyth point is enough to judge by.
-_STEP = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,26 +50,26 @@ class Agreement:
     radius: float
 
 
-def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float) -> Agreement:
-    """Lay the moving sweep on the fixed one and look."""
-    placed = se3.transform_points(T_fixed_moving, moving.points[::_STEP])
+def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, *, step: int = 2) -> Agreement:
+    """Lay the moving sweep on the fixed one and look, at one point in `step`."""
+    placed = se3.transform_points(T_fixed_moving, moving.points[::step])
     rows, distances = fixed.pairs(placed)
     near = distances < _NEAR_M
-    normals, others = fixed.normals[rows], moving.normals[::_STEP] @ T_fixed_moving[:3, :3].T
+    normals, others = fixed.normals[rows], moving.normals[::step] @ T_fixed_moving[:3, :3].T
     off = np.einsum("ij,ij->i", normals, placed - fixed.points[rows])
     # Where normals differ there is an edge, or too few beams to tell the normal: such pairs say nothing.
     cos = np.einsum("ij,ij->i", normals, others)
     parallel = near & (np.abs(cos) > _PARALLEL)
     on_surface = parallel & (np.abs(off) < _ON_SURFACE_M)
     # Both ways: what one sweep looked through cannot be where the other saw something.
-    back = se3.transform_points(se3.inverse(T_fixed_moving), fixed.points[::_STEP])
+    back = se3.transform_points(se3.inverse(T_fixed_moving), fixed.points[::step])
     through = ~near & fixed.seen_through(placed, _IN_FRONT_M)
     through_back = moving.seen_through(back, _IN_FRONT_M)
     through_back[through_back] = moving.pairs(back[through_back])[1] >= _NEAR_M
     inliers = int(on_surface.sum())
     # Floors and ceilings fit each other anywhere, so that walls have to fit on their own.
     level = np.abs(others[:, 2]) > _LEVEL
-    level_back = np.abs(fixed.normals[::_STEP] @ T_fixed_moving[:3, 2]) > _LEVEL
+    level_back = np.abs(fixed.normals[::step] @ T_fixed_moving[:3, 2]) > _LEVEL
     inlier_shares, overlaps = [], []
     for here, there in ((level, level_back), (~level, ~level_back)):
         fit = int(np.sum(on_surface & here))
@@ -83,7 +81,7 @@ def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float
 
     arms, errors = placed[on_surface] - T_fixed_moving[:3, 3], off[on_surface]
     J = _jacobian(arms, normals[on_surface])
-    hessian = _STEP * J.T @ J
+    hessian = step * J.T @ J
     # The noise of normals makes any direction look held. That of the two sweeps is independent, so it is not in this.
     crossed = J.T @ _jacobian(arms, others[on_surface] * np.sign(cos[on_surface])[:, None])
     radius = float(np.sqrt(np.mean(np.sum(arms**2, axis=1)))) if inliers else 1.0
@@ -94,7 +92,7 @@ def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float
         inlier_share=min(inlier_shares, default=0.0),
         residual=float(np.sqrt(np.mean(errors**2))) if len(errors) else math.inf,
         hessian=hessian,
-        gradient=_STEP * J.T @ errors,
+        gradient=step * J.T @ errors,
         shares=shares,
         directions=directions,
         radius=radius,

@@ -36,8 +36,8 @@ _SMALLEST_RESIDUAL_M = 0.002
 _HELD_STEPS = 3
 # Times the last gate: pairs of a guess that is good.
 _NEAR = 3.0
-# Share of inliers at a guess from which on it is good.
-_NEARLY = 0.5
+# Share of inliers at a guess from which on it is good, looked for among one point in so many.
+_NEARLY, _GLANCE = 0.5, 8
 # Two places this far apart that fit about equally well: neither is to be believed.
 _SAME_M, _SAME_RAD = 0.1, math.radians(3.0)
 _EQUALLY_WELL = 0.97
@@ -88,7 +88,7 @@ def match(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: S
         )
     # A wide gate can lead away from a guess that is good, and a narrow one misses what is far.
     gates = [_NEAR * config.last_gate, config.first_gate]
-    if agreement(moving, fixed, guess).inlier_share < _NEARLY:
+    if agreement(moving, fixed, guess, step=_GLANCE).inlier_share < _NEARLY:
         gates.reverse()
     first = _match_from(guess, moving, fixed, guess, gates[0], config)
     if first.quality != "good":
