@@ -16,7 +16,7 @@ from g2_recon.registration.prepared_sweep import PreparedSweep
 Float = NDArray[np.float64]
 
 # Every so manyth point is enough while pairs are far.
-_COARSE_STEP = 3
+_COARSE_STEP = 4
 _ITERATIONS = 30
 # Edges of shadows are within a wide gate, and few guesses within a narrow one.
 _MIDDLE = 3.0

@@ -95,7 +95,7 @@ def usable(points: Float, config: SweepConfig) -> Float:
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"a sweep needs points of shape (N, 3), got {points.shape}")
     with np.errstate(invalid="ignore", over="ignore"):
-        ranges = config.scale * np.sqrt(np.sum(points**2, axis=1))
+        ranges = config.scale * np.sqrt(np.einsum("ij,ij->i", points, points))
         kept = points[(ranges >= config.min_range) & (ranges <= config.max_range)] * config.scale
     if len(kept):
         return np.ascontiguousarray(kept)
@@ -114,7 +114,7 @@ def usable(points: Float, config: SweepConfig) -> Float:
 def implausible_scale(points: Float, config: SweepConfig) -> str:
     """What to warn of where the unit of a sweep (N, 3) cannot be metres; empty where it can be."""
     with np.errstate(invalid="ignore", over="ignore"):
-        ranges = config.scale * np.sqrt(np.sum(points**2, axis=1))
+        ranges = config.scale * np.sqrt(np.einsum("ij,ij->i", points, points))
     finite = ranges[np.isfinite(ranges)]
     if not len(finite) or np.median(finite) < _IMPLAUSIBLE_MEDIAN_M:
         return ""
