@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numba
 import numpy as np
@@ -33,7 +32,7 @@ _BIN = math.radians(2.0)
 _AZIMUTHS, _ELEVATIONS = 180, 90
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class PreparedSweep:
     """A sweep in its own frame, whose origin is where the laser was.
 
@@ -48,11 +47,6 @@ class PreparedSweep:
     tree: small_gicp.KdTree
     nearest: Float
     measured: Float
-
-    @cached_property
-    def radius(self) -> float:
-        """Root of the mean squared distance of the points from the laser in metres."""
-        return float(np.sqrt(np.mean(np.sum(self.points**2, axis=1))))
 
     def pairs(self, places: Float) -> tuple[NDArray[np.int64], Float]:
         """The nearest point (K,) to each place (K, 3) in the frame of the sweep, and its distance (K,) in metres."""

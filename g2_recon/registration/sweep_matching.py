@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -83,9 +84,8 @@ def match(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: S
     guess = se3.orthonormal(T_guess)
     metres = float(np.linalg.norm(guess[:3, 3]))
     if metres > 2 * config.max_range + config.search + config.first_gate:
-        return Match(
-            guess, np.zeros((6, 6)), 0.0, 0.0, math.inf, (), f"sweeps {metres:.0f} m apart see nothing in common"
-        )
+        why = f"sweeps {metres:.0f} m apart see nothing in common"
+        return Match(guess, np.zeros((6, 6)), 0.0, 0.0, math.inf, (), why)
     # A wide gate can lead away from a guess that is good, and a narrow one misses what is far.
     gates = [_NEAR * config.last_gate, config.first_gate]
     if agreement(moving, fixed, guess, step=_GLANCE).inlier_share < _NEARLY:
@@ -97,16 +97,15 @@ def match(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: S
         return first
     gate = _NEAR * config.last_gate
     found = [_match_from(start, moving, fixed, guess, gate, config) for start in _places(moving, fixed, guess, config)]
-    accepted = sorted((other for other in found if not other.refused), key=_preference, reverse=True)
-    if not accepted:
-        return max([first, *found], key=_preference)
-    best = accepted[0]
-    for other in accepted[1:]:
-        if (
-            bool(other.weak) == bool(best.weak)
-            and _support(other) > _EQUALLY_WELL * _support(best)
-            and not _same_place(best.T, other.T)
-        ):
+    return _best([first, *found])
+
+
+def _best(found: Sequence[Match]) -> Match:
+    """The match that has most for it; refused where another one, elsewhere, has about as much."""
+    best = max(found, key=_preference)
+    for other in found:
+        rivals = not best.refused and _preference(other)[:2] == _preference(best)[:2]
+        if rivals and _support(other) > _EQUALLY_WELL * _support(best) and not _same_place(best.T, other.T):
             metres = float(np.linalg.norm(other.T[:3, 3] - best.T[:3, 3]))
             return best.but_refused(f"it fits about as well at another place, {metres:.1f} m from there")
     return best

@@ -7,8 +7,9 @@ import simulated_sweeps
 from g2_recon.config import SweepConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
+from g2_recon.registration import sweep_matching
 from g2_recon.registration.prepared_sweep import prepare
-from g2_recon.registration.sweep_matching import METHODS, match
+from g2_recon.registration.sweep_matching import METHODS, Match, match
 
 CONFIG = SweepConfig()
 
@@ -88,3 +89,28 @@ def test_a_guess_that_is_not_quite_orthonormal_is_as_good(room, method):
     guess[:3, :3] *= 1.002
     guess[0, 1] += 1e-3
     assert match(room.moving, room.fixed, guess, SweepConfig(method=method)).quality == "good"
+
+
+def fabricated(x, share=1.0, *, weak=(), refused=""):
+    return Match(se3.from_se2([x, 0, 0]), np.eye(6), 1.0, share, 0.01, weak, refused)
+
+
+def test_of_two_places_that_fit_equally_well_none_is_believed():
+    best = sweep_matching._best([fabricated(0.0, 0.99), fabricated(2.0, 0.98), fabricated(5.0, 0.5)])
+    assert best.refused == "it fits about as well at another place, 2.0 m from there"
+
+
+def test_of_two_places_the_one_that_fits_clearly_better_is_believed():
+    best = sweep_matching._best([fabricated(0.0, 0.92), fabricated(2.0, 0.99)])
+    assert (best.T[0, 3], best.refused) == (2.0, "")
+
+
+def test_the_same_place_twice_is_believed():
+    assert not sweep_matching._best([fabricated(0.0), fabricated(0.05)]).refused
+
+
+def test_a_place_that_holds_in_all_directions_goes_before_one_that_does_not():
+    best = sweep_matching._best(
+        [fabricated(0.0, 1.0, weak=("along x",)), fabricated(2.0, 0.95), fabricated(3.0, refused="no")]
+    )
+    assert best.quality == "good"
