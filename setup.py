@@ -65,6 +65,8 @@ setup(
         "trimesh>=4.6",
         "matplotlib>=3.6",
         "rich>=13.7",
+        "small_gicp>=1.0.1",
+        "kiss-icp>=1.3.0",
     ],
     extras_require={
         "ros": [
@@ -87,7 +89,7 @@ setup(
             f"g2-recon = {PACKAGE}.cli:main",
             *(
                 f"{node} = {PACKAGE}.nodes.{node}:main"
-                for node in ("localizer_node", "registrar_node", "reconstruct_node", "replay_node")
+                for node in ("localizer_node", "registrar_node", "sweep_node", "reconstruct_node", "replay_node")
             ),
         ],
     },

@@ -28,6 +28,7 @@ from g2_recon.config import (
     ReconstructionConfig,
     RecordingConfig,
     SimulationConfig,
+    SweepConfig,
 )
 from g2_recon.errors import ConfigError, G2ReconError, InputError
 from g2_recon.evaluation.relations import RelationsScore, read_relations, score_relations
@@ -35,14 +36,15 @@ from g2_recon.evaluation.surface import SurfaceScore, score_surface
 from g2_recon.evaluation.trajectory_error import mean_position_error
 from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.reconstruction.reconstructor import Reconstruction
-from g2_recon.recording.bags import write_bag
-from g2_recon.recording.clouds import read_cloud
+from g2_recon.recording.bags import BAG_ENDINGS, write_bag
+from g2_recon.recording.clouds import check_cloud_ending, read_cloud, write_cloud
 from g2_recon.recording.files import write_text
 from g2_recon.recording.meshes import MESH_ENDINGS, read_mesh, write_mesh, write_wire_mesh
 from g2_recon.recording.occupancy_maps import write_map
 from g2_recon.recording.recordings import read_recording
 from g2_recon.recording.sessions import write_session
 from g2_recon.recording.surfaces import read_true_surface, write_true_surface
+from g2_recon.recording.sweeps import SWEEP_ENDINGS, read_sweep
 from g2_recon.recording.trajectories import read_tum, write_tum
 from g2_recon.simulation.simulator import simulate
 from g2_recon.terminal import StageProgress, print_paths, print_table, stages
@@ -166,6 +168,42 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
     maps = {} if result.grid is None else {"map": grid}
     sessions = {} if options.session is None else {"session": options.session}
     print_paths({"trajectory": target, **maps, "floor plan": plan, **sessions}, console)
+
+
+def run_merge(options: argparse.Namespace, console: Console) -> None:
+    """Merge stop-and-go sweeps into one cloud."""
+    settings = _made(SweepConfig, _given(options, "sweep"), options)
+    target = options.output or Path(f"{_stem(options.sweeps[0])}_merged.ply")
+    poses = target.with_name("poses.tum")
+    check_cloud_ending(target)
+    _check_files([target, poses], inputs=[*options.sweeps, options.poses])
+    dropped: dict[str, int] = {}
+    with stages(console) as progress:
+        guesses = read_tum(options.poses) if options.poses else None
+        first: Path = options.sweeps[0]
+        if first.is_dir() or first.suffix.lower() in BAG_ENDINGS:
+            if len(options.sweeps) > 1:
+                raise InputError("is a recording, of which only one can be merged", where=first)
+            sweeps, driven, dropped = pipeline.assemble(read_recording(first, progress=progress), settings)
+            guesses = guesses or driven
+        else:
+            sweeps = []
+            for path in options.sweeps:
+                sweeps.append(read_sweep(path))
+                progress("reading", len(sweeps), len(options.sweeps))
+        result = pipeline.merge(sweeps, settings, guesses=guesses, progress=progress)
+        write_cloud(target, result.cloud)
+        write_tum(poses, result.trajectory)
+        progress("writing", 1, 1)
+    rows: dict[str, Any] = {
+        "sweeps": len(result.sweeps),
+        "points": f"{len(result.cloud):,}",
+        "loops closed": result.loops,
+        **{name: placed.describe() for name, placed in result.sweeps.items()},
+        **{f"dropped: {reason}": count for reason, count in dropped.items()},
+    }
+    print_table("merged", rows, progress, console)
+    print_paths({"cloud": target, "poses": poses}, console)
 
 
 def run_reconstruct(options: argparse.Namespace, console: Console) -> None:
@@ -435,6 +473,26 @@ def build_parser() -> argparse.ArgumentParser:
     localize.add_argument("--relations", metavar="FILE", type=Path, help="score the trajectory by true relations")
     _add_settings(localize, LocalizationConfig, "localization")
     _add_settings(localize, RecordingConfig, "recording")
+
+    merge = add("merge", run_merge, "stop-and-go sweeps to one cloud, with the poses (TUM) of the sweeps beside it")
+    merge.add_argument(
+        "sweeps",
+        metavar="SWEEP",
+        type=Path,
+        nargs="+",
+        help=f"in the order of the drive: {' '.join(SWEEP_ENDINGS)}, in the frame of the laser, which stands level; "
+        ".3d as 3DTK has it, with a first guess in the .pose beside it; or one bag with a tilting laser",
+    )
+    merge.add_argument(
+        "-o", "--output", metavar="CLOUD", type=Path, help="default: NAME_merged.ply of the first; poses.tum beside it"
+    )
+    merge.add_argument(
+        "--poses",
+        metavar="FILE",
+        type=Path,
+        help="first guesses as TUM, a pose a sweep in their order: stamp x y z qx qy qz qw (s, m)",
+    )
+    _add_settings(merge, SweepConfig, "sweep")
 
     recon = add("reconstruct", run_reconstruct, "a cloud to a mesh")
     recon.add_argument("cloud", metavar="CLOUD", type=Path, help="PLY, PCD, XYZ, CSV or NPZ, in metres")

@@ -145,6 +145,93 @@ class RegistrationConfig(_Model):
         return self
 
 
+class SweepConfig(_Model):
+    """Stop-and-go sweeps to one cloud."""
+
+    method: Literal["gicp", "kiss", "paper"] = _setting(
+        "gicp",
+        "how sweeps are laid on each other; gicp: generalized ICP of small_gicp; kiss: the ICP of KISS-ICP; paper: "
+        "point-to-point ICP as published",
+    )
+    scale: float = _setting(1.0, "metres a unit of the coordinates; 0.001 for millimetres", "m", ge=1e-6, le=1000)
+    min_range: float = _setting(0.2, "nearer returns are the robot itself", "m", ge=0, le=10)
+    max_range: float = _setting(30.0, "farther returns are not used", "m", ge=0.5, le=200)
+    voxel: float = _setting(
+        0.14, "sweeps are matched with one point a cube of this edge; the cloud keeps all", "m", ge=0.01, le=2
+    )
+    first_gate: float = _setting(1.5, "farthest points that are paired at first", "m", ge=0.1, le=20)
+    last_gate: float = _setting(0.1, "farthest points that are paired at last", "m", ge=0.02, le=5)
+    search: float = _setting(
+        2.0, "where a match from the guess is refused, places this far around it are tried; 0: none", "m", ge=0, le=20
+    )
+    search_angle: float = _setting(
+        round(math.radians(45), 4), "the same for headings to both sides of it", "rad", ge=0, le=math.pi
+    )
+    min_overlap: float = _setting(
+        0.3, "a match is refused where a smaller share of the sweep with fewer points is near the other", ge=0, le=1
+    )
+    min_inliers: float = _setting(
+        0.9,
+        "a match is refused where a smaller share of what both sweeps should see lies on the same surface",
+        ge=0,
+        le=1,
+    )
+    max_residual: float = _setting(
+        0.04,
+        "a match is refused where points lie farther from the surface they are paired with, as RMS",
+        "m",
+        ge=0.001,
+        le=1,
+    )
+    weak_share: float = _setting(
+        0.005,
+        "a direction is left to odometry where less than this share of the normals, squared, points along it",
+        ge=0,
+        le=0.3,
+    )
+    loop_closure: bool = _setting(True, "match a sweep with all near ones before it; off: with the last one only")
+    neighbors: int = _setting(6, "a sweep is matched against this many of the nearest ones before it", ge=1, le=1000)
+    max_distance: float = _setting(10.0, "sweeps farther apart than this are not matched", "m", ge=0.1, le=200)
+    odometry_distance: float = _setting(
+        0.1, "standard deviation of odometry a metre that the robot drove, and at least 0.1 of a metre", ge=0.001, le=10
+    )
+    odometry_angle: float = _setting(
+        0.1, "standard deviation of the heading of odometry between two sweeps", "rad", ge=0.001, le=4
+    )
+
+    min_tilt: float = _setting(
+        0.35, "tilting laser: a sweep whose tilt covers less is refused", "rad", ge=0.01, le=2 * math.pi
+    )
+    max_tilt_step: float = _setting(
+        0.1,
+        "tilting laser: a sweep whose tilt jumps further from one angle to the next is refused",
+        "rad",
+        ge=0.001,
+        le=4,
+    )
+    max_motion: float = _setting(
+        0.01, "tilting laser: a sweep during which the robot moved further is refused", "m", ge=0, le=1
+    )
+    max_turn: float = _setting(
+        0.01, "tilting laser: a sweep during which the robot turned further is refused", "rad", ge=0, le=1
+    )
+    max_gap: float = _setting(
+        0.5,
+        "tilting laser: scans farther apart in time are of two sweeps; poses are not odometry between",
+        "s",
+        ge=0.001,
+        le=60,
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> SweepConfig:
+        if self.min_range >= self.max_range:
+            raise ValueError("min_range must be smaller than max_range")
+        if self.last_gate > self.first_gate:
+            raise ValueError("last_gate must not be larger than first_gate")
+        return self
+
+
 # The training of one map looks at all pairs of its neurons.
 _MOST_NEURONS = 2500
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import logging
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon import __version__, config, pictures
-from g2_recon.config import G2ReconConfig, LocalizationConfig, ReconstructionConfig, RegistrationConfig
+from g2_recon.config import G2ReconConfig, LocalizationConfig, ReconstructionConfig, RegistrationConfig, SweepConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud, concatenate
@@ -34,8 +35,11 @@ from g2_recon.recording.files import write_text
 from g2_recon.recording.meshes import write_mesh, write_wire_mesh
 from g2_recon.recording.occupancy_maps import write_map
 from g2_recon.recording.sessions import read_session, write_session
+from g2_recon.recording.sweeps import Sweep
 from g2_recon.recording.trajectories import write_tum
 from g2_recon.registration.registrar import Registrar
+from g2_recon.registration.sweep_assembler import SweepAssembler
+from g2_recon.registration.sweep_merger import PlacedSweep, SweepMerger
 
 Float = NDArray[np.float64]
 
@@ -72,6 +76,19 @@ class Registration:
     cloud: Cloud
     scans: int
     drops: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """cloud: of all sweeps that could be placed, in the map frame. trajectory: T_map_file of those, by their stamps.
+
+    sweeps: what came of each, by name. loops: matches beyond those that hold the sweeps together.
+    """
+
+    cloud: Cloud
+    trajectory: Trajectory
+    sweeps: dict[str, PlacedSweep]
+    loops: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +220,72 @@ def register(
             advice="check that the clocks of the two lasers agree, and registration.max_gap, min_range and max_range",
         )
     return Registration(cloud, len(clouds), registrar.drops)
+
+
+def merge(
+    sweeps: Sequence[Sweep], settings: SweepConfig, *, guesses: Trajectory | None = None, progress: Progress = silent
+) -> Merged:
+    """Sweeps as one cloud. guesses: T_map_file of each, in their order, instead of what the files say, and stamps.
+
+    Without guesses stamps count up from 0. Raises InputError, which names the sweep, where one cannot be used, where
+    there are not as many guesses as sweeps, and where only one could be placed.
+    """
+    if guesses is not None and len(guesses) != len(sweeps):
+        raise InputError(
+            f"{len(guesses)} poses for {len(sweeps)} sweeps", advice="give one pose a sweep, in the same order"
+        )
+    given = [sweep.T_map_file for sweep in sweeps] if guesses is None else list(guesses.matrices())
+    merger = SweepMerger(settings)
+    placed: dict[str, PlacedSweep] = {}
+    for index, (sweep, guess) in enumerate(zip(sweeps, given, strict=True)):
+        try:
+            result = merger.add(sweep.cloud, None if guess is None else guess @ sweep.T_file_laser)
+        except InputError as error:
+            raise InputError(str(error), where=sweep.name) from None
+        # Files in different folders may have the same name.
+        placed[sweep.name if sweep.name not in placed else f"{sweep.name} ({index + 1})"] = result
+        if result.quality not in ("first", "good"):
+            _log.warning("%s: %s: %s", sweep.name, result.quality, result.reason)
+        progress("merging", index + 1, len(sweeps))
+    if len(merger) < 2 <= len(sweeps):
+        raise InputError(
+            f"no sweep could be laid on another: {placed[list(placed)[1]].reason}",
+            advice="give first guesses with --poses, or look at the settings that the reason names",
+        )
+    stamps = np.arange(len(sweeps), dtype=float) if guesses is None else guesses.stamps
+    T_map_file = [
+        pose @ se3.inverse(sweeps[number].T_file_laser)
+        for number, pose in zip(merger.numbers, merger.poses(), strict=True)
+    ]
+    trajectory = Trajectory.from_matrices(stamps[merger.numbers], np.array(T_map_file))
+    return Merged(merger.cloud(), trajectory, placed, merger.loops)
+
+
+def assemble(recording: Recording, settings: SweepConfig) -> tuple[list[Sweep], Trajectory | None, dict[str, int]]:
+    """The sweeps of a recording with a tilting laser, their poses by odometry where it is known, and what was dropped.
+
+    Raises InputError where there is no sweep.
+    """
+    if not recording.scans_tilt:
+        raise InputError("the recording holds no scan of a tilting laser", advice="name its topic with scan_tilt_topic")
+    if recording.T_base_tilt is None:
+        raise InputError("the recording does not say how the tilting laser is mounted", advice="add its transform")
+    assembler = SweepAssembler(settings, recording.T_base_tilt)
+    for stamp, angle in zip(recording.tilt_stamps.tolist(), recording.tilt_angles.tolist(), strict=True):
+        assembler.add_angle(stamp, angle)
+    odometry = recording.odometry
+    for stamp, T_odom_base in zip(odometry.stamps.tolist(), odometry.matrices(), strict=True):
+        assembler.add_odometry(stamp, T_odom_base)
+    for scan in recording.scans_tilt:
+        assembler.add_scan(scan)
+    assembled = assembler.finish()
+    if not assembled:
+        reasons = ", ".join(f"{reason}: {count}" for reason, count in assembler.drops.items())
+        raise InputError(f"none of the {len(recording.scans_tilt)} tilted scans is of a whole sweep ({reasons})")
+    sweeps = [Sweep(f"sweep at {s.stamp:.2f} s", s.cloud, np.eye(4), s.T_odom_mount) for s in assembled]
+    poses = [s.T_odom_mount for s in assembled if s.T_odom_mount is not None]
+    guesses = Trajectory.from_matrices([s.stamp for s in assembled], poses) if len(poses) == len(assembled) else None
+    return sweeps, guesses, assembler.drops
 
 
 def reconstruct_surface(cloud: Cloud, settings: ReconstructionConfig, *, progress: Progress = silent) -> Reconstruction:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from g2_recon.config import LocalizationConfig, ReconstructionConfig
+from g2_recon.config import LocalizationConfig, ReconstructionConfig, SweepConfig
 from g2_recon.evaluation.surface import score_surface
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import TrueSurface
@@ -16,11 +16,13 @@ from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import make_localizer
 from g2_recon.localization.occupancy import GridBuilder
 from g2_recon.reconstruction.reconstructor import reconstruct
+from g2_recon.registration.prepared_sweep import prepare
 
 
 def warm_up() -> None:
     """Run every kernel once on a few points; Numba keeps what it compiles on disk."""
     warm_up_localization()
+    warm_up_sweeps()
     for with_sensor in (True, False):
         cloud = _corner_of_a_room(with_sensor=with_sensor)
         reconstruct(cloud, ReconstructionConfig())
@@ -35,6 +37,12 @@ def warm_up_localization() -> None:
     """The same for the kernels of localization only."""
     for method in ("graph", "paper"):
         _drive_up_and_down(LocalizationConfig(method=method))
+
+
+def warm_up_sweeps() -> None:
+    """The same for the kernels of sweeps only."""
+    sweep = prepare(np.random.default_rng(0).uniform(-2.0, 2.0, (1000, 3)), SweepConfig())
+    sweep.seen_through(sweep.points, 0.1)
 
 
 def _drive_up_and_down(config: LocalizationConfig) -> None:

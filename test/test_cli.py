@@ -9,20 +9,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated_sweeps
 import trimesh
 import yaml
 
 from g2_recon import config
 from g2_recon.cli import build_parser, bundled_recording, main
 from g2_recon.config import G2ReconConfig, ReconstructionConfig
+from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import Mesh, TrueSurface
+from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.recording.clouds import read_cloud, write_cloud
 from g2_recon.recording.meshes import write_mesh
 from g2_recon.recording.occupancy_maps import read_map
 from g2_recon.recording.recordings import read_recording
 from g2_recon.recording.surfaces import read_true_surface, write_true_surface
-from g2_recon.recording.trajectories import read_tum
+from g2_recon.recording.trajectories import read_tum, write_tum
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -30,6 +33,7 @@ COMMANDS = [
     "demo",
     "run",
     "localize",
+    "merge",
     "reconstruct",
     "import",
     "simulate",
@@ -220,7 +224,7 @@ def test_bad_usage_ends_with_status_2(arguments, capsys):
     assert stop.value.code == 2
 
 
-@pytest.mark.parametrize("command", ["run", "localize", "reconstruct"])
+@pytest.mark.parametrize("command", ["run", "localize", "merge", "reconstruct"])
 def test_a_missing_file_is_one_line_and_status_1(command, tmp_path, capsys):
     assert "nowhere.ply" in refused(capsys, command, tmp_path / "nowhere.ply")
 
@@ -439,7 +443,7 @@ def test_a_link_to_itself_is_one_line_and_status_1(tmp_path, capsys, command):
     )
 
 
-@pytest.mark.parametrize("command", ["run", "localize", "reconstruct"])
+@pytest.mark.parametrize("command", ["run", "localize", "merge", "reconstruct"])
 def test_a_name_that_is_too_long_is_one_line_and_status_1(tmp_path, capsys, command):
     refused(capsys, command, tmp_path / ("o" * 300 + ".log"))
 
@@ -487,6 +491,97 @@ def test_a_folder_that_cannot_be_written_is_one_line_and_status_1(tmp_path, caps
     cloud = tmp_path / "cloud.xyz"
     np.savetxt(cloud, np.random.default_rng(0).random((500, 3)))
     assert "cannot be written" in refused(capsys, "reconstruct", cloud, "-o", tmp_path / "file" / "mesh.ply")
+
+
+def two_sweeps(tmp_path, *, ending=".npz", scale=1.0):
+    """Files of two sweeps of a room with 1 cm of noise, and where the second is as seen from the first."""
+    rectangles, rng = simulated_sweeps.furnished_room(), np.random.default_rng(0)
+    stops = [simulated_sweeps.stop(5.0, 3.0, 10.0), simulated_sweeps.stop(5.6, 3.2, 25.0)]
+    files = [tmp_path / f"sweep_{number}{ending}" for number in range(2)]
+    for file, at in zip(files, stops, strict=True):
+        write_cloud(file, Cloud(scale * simulated_sweeps.sweep(rectangles, at, rng)))
+    return files, se3.inverse(stops[0]) @ stops[1]
+
+
+@pytest.mark.parametrize("method", ["gicp", "kiss", "paper"])
+def test_sweeps_are_merged_from_first_guesses_that_are_off(tmp_path, method):
+    files, T = two_sweeps(tmp_path)
+    guess = T @ se3.from_xyz_rpy([0.1, -0.1, 0, 0, 0, 0.05])
+    write_tum(tmp_path / "guess.tum", Trajectory.from_matrices([10.0, 20.0], [np.eye(4), guess]))
+    target = tmp_path / "merged.ply"
+    arguments = [*files, "-o", target, "--poses", tmp_path / "guess.tum", "--method", method]
+    assert main(["merge", *map(str, arguments)]) == 0
+    poses = read_tum(tmp_path / "poses.tum")
+    assert poses.stamps.tolist() == [10.0, 20.0]
+    assert np.linalg.norm(poses.positions[1] - T[:3, 3]) < 0.01
+    cloud = read_cloud(target)
+    assert len(cloud) == 2 * 36200
+    assert np.unique(cloud.sensor.round(6), axis=0) == pytest.approx(poses.positions, abs=1e-5)
+
+
+@pytest.mark.parametrize("ending", [".ply", ".pcd", ".xyz"])
+def test_sweeps_are_merged_without_first_guesses(tmp_path, ending, monkeypatch):
+    files, T = two_sweeps(tmp_path, ending=ending)
+    monkeypatch.chdir(tmp_path)
+    assert main(["merge", *map(str, files)]) == 0
+    assert len(read_cloud(tmp_path / "sweep_0_merged.ply")) == 2 * 36200
+    assert np.linalg.norm(read_tum(tmp_path / "poses.tum").positions[1] - T[:3, 3]) < 0.01
+
+
+def test_sweeps_in_millimetres_are_refused_with_advice_and_merged_with_it(tmp_path, capsys):
+    files, _ = two_sweeps(tmp_path, scale=1000.0)
+    assert "set scale, such as 0.001" in refused(capsys, "merge", *files, "-o", tmp_path / "m.ply")
+    assert main(["merge", *map(str, files), "-o", str(tmp_path / "m.ply"), "--scale", "0.001"]) == 0
+    assert np.ptp(read_cloud(tmp_path / "m.ply").points, axis=0).max() < 20
+
+
+def test_sweeps_that_cannot_be_used_are_refused_in_one_line(tmp_path, capsys):
+    files, T = two_sweeps(tmp_path)
+    target = tmp_path / "m.ply"
+    empty = tmp_path / "empty.npz"
+    write_cloud(empty, Cloud(np.full((5, 3), np.nan)))
+    assert "empty.npz: none of the 5 points" in refused(capsys, "merge", files[0], empty, "-o", target)
+    write_tum(tmp_path / "one.tum", Trajectory.from_matrices([0.0], [T]))
+    assert "1 poses for 2 sweeps" in refused(capsys, "merge", *files, "-o", target, "--poses", tmp_path / "one.tum")
+    (tmp_path / "bent.tum").write_text("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 9\n")
+    assert "unit length" in refused(capsys, "merge", *files, "-o", target, "--poses", tmp_path / "bent.tum")
+    content = files[0].read_bytes()
+    (tmp_path / "cut.npz").write_bytes(content[: len(content) // 2])
+    assert "cut.npz" in refused(capsys, "merge", tmp_path / "cut.npz", files[1], "-o", target)
+    assert "ending" in refused(capsys, "merge", *files, "-o", tmp_path / "m.glb")
+    assert "would replace" in refused(capsys, "merge", *files, "-o", files[1])
+    assert not target.exists()
+
+
+def test_sweeps_that_do_not_overlap_are_refused_in_one_line(tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    rectangles, stops = simulated_sweeps.two_rooms(rng)
+    files = [tmp_path / "a.npz", tmp_path / "b.npz"]
+    for file, at in zip(files, stops, strict=True):
+        write_cloud(file, Cloud(simulated_sweeps.sweep(rectangles, at, rng)))
+    assert "no sweep could be laid on another" in refused(capsys, "merge", *files, "-o", tmp_path / "m.ply")
+
+
+def test_the_sweeps_of_a_simulated_robot_are_merged_from_its_bag(tmp_path):
+    arguments = ["--setup", "sweeping", "--horizontal-every", "9", "-o", str(tmp_path / "bag")]
+    assert main(["simulate", *arguments]) == 0
+    quickly = ["--search", "0", "--search-angle", "0"]
+    assert main(["merge", str(tmp_path / "bag"), "-o", str(tmp_path / "m.ply"), *quickly]) == 0
+    assert len(read_tum(tmp_path / "poses.tum")) == 6
+
+
+@needs(DATA / "sweeps" / "pcl_room")
+@pytest.mark.parametrize("method", ["gicp", "kiss", "paper"])
+def test_the_recorded_room_is_merged_from_odometry(tmp_path, method):
+    files = [str(DATA / "sweeps" / "pcl_room" / f"room_scan{number}.pcd") for number in (1, 2)]
+    driven = se3.from_xyz_rpy([1.79, 0.72, 0.0, 0.0, 0.0, 0.6931])
+    write_tum(tmp_path / "guess.tum", Trajectory.from_matrices([0.0, 1.0], [np.eye(4), driven]))
+    arguments = ["--poses", str(tmp_path / "guess.tum"), "-o", str(tmp_path / "m.ply"), "--method", method]
+    assert main(["merge", *files, *arguments]) == 0
+    poses = read_tum(tmp_path / "poses.tum")
+    # The truth is known to the centimetre, with a level robot.
+    assert np.linalg.norm(poses.positions[1] - [1.98, 0.06, 0.016]) < 0.025
+    assert np.degrees(abs(poses.planar()[1, 2] - 0.710)) < 0.3
 
 
 def test_the_command_runs_as_a_process_of_its_own():

@@ -15,6 +15,9 @@ from g2_recon.errors import InputError
 
 Float = NDArray[np.float64]
 
+FARTHEST_M = 1e8
+"""No place on Earth is this many metres from the origin of a map."""
+
 
 def from_se2(pose: ArrayLike) -> Float:
     """Transforms (..., 4, 4) for planar poses (..., 3)."""
@@ -76,6 +79,22 @@ def inverse(T_a_b: ArrayLike) -> Float:
     result[..., :3, :3] = transposed
     result[..., :3, 3] = -(transposed @ matrix[..., :3, 3:])[..., 0]
     result[..., 3, 3] = 1.0
+    return result
+
+
+def orthonormal(T_a_b: ArrayLike) -> Float:
+    """The rigid transform (4, 4) nearest to one whose rotation has rounding errors.
+
+    Raises InputError where a number is not finite or beyond all maps, or the upper part is not nearly a rotation.
+    """
+    matrix = np.asarray(T_a_b, float)
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < FARTHEST_M).all():
+        raise InputError("a transform is not 4 x 4 finite numbers that a pose can have", advice="check the poses")
+    left, stretch, right = np.linalg.svd(matrix[:3, :3])
+    if np.abs(stretch - 1).max() > 0.1 or np.linalg.det(left @ right) < 0:
+        raise InputError("a transform does not rotate but stretches or mirrors", advice="check the poses")
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = left @ right, matrix[:3, 3]
     return result
 
 

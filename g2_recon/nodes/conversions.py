@@ -163,6 +163,23 @@ def planar_pose_message(head: Header, pose: ArrayLike, covariance: ArrayLike) ->
     return message
 
 
+def pose_with_covariance_message(head: Header, matrix: ArrayLike, covariance: ArrayLike) -> PoseWithCovarianceStamped:
+    """The message of a transform (4, 4) and its covariance (6, 6) of x y z in metres, then angles about them in rad."""
+    message = PoseWithCovarianceStamped(header=head)
+    message.pose.pose = pose_message(matrix)
+    message.pose.covariance = np.asarray(covariance, float).ravel()
+    return message
+
+
+def moved_covariance(covariance: ArrayLike, lever: ArrayLike) -> Float:
+    """The covariance (6, 6) of a pose that hangs on another one: `lever` (3,) metres from there, in the fixed frame."""
+    x, y, z = np.asarray(lever, float)
+    J = np.eye(6)
+    # A turn moves what is at the end of the lever by turn x lever.
+    J[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return np.asarray(J @ np.asarray(covariance, float) @ J.T)
+
+
 def path_message(head: Header, trajectory: Trajectory) -> Path:
     """The message of a trajectory; each pose has its own stamp."""
     rows = zip(trajectory.stamps.tolist(), trajectory.positions.tolist(), trajectory.quaternions.tolist(), strict=True)

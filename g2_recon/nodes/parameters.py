@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from g2_recon import config
-from g2_recon.config import LocalizationConfig, ReconstructionConfig, RegistrationConfig, Setting
+from g2_recon.config import LocalizationConfig, ReconstructionConfig, RegistrationConfig, Setting, SweepConfig
 from g2_recon.errors import ConfigError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -64,6 +64,19 @@ class RegistrarParameters(_MapNodeModel, RegistrationConfig):
     base_frame: str = _parameter("base_link", "frame of the robot that the laser is mounted on")
 
 
+class SweepParameters(_SessionModel, _MapNodeModel, SweepConfig):
+    """Parameters of sweep_node."""
+
+    laser_pose: tuple[float, ...] = _parameter(
+        (),
+        "pose of the laser, or of the mount that it tilts in, on the robot as x y z roll pitch yaw; empty: as TF says",
+        "m m m rad rad rad",
+    )
+    base_frame: str = _parameter("base_link", "frame of the robot that the laser is mounted on")
+    tilt_joint: str = _parameter("", "name of the joint that tilts the laser; empty: the first one of each message")
+    odometry_kept: float = _parameter(60.0, "odometry is kept this long for sweeps that come late", "s", ge=0, le=3600)
+
+
 class ReconstructParameters(_SessionModel, _MapNodeModel, ReconstructionConfig):
     """Parameters of reconstruct_node."""
 
@@ -88,6 +101,7 @@ class ReplayParameters(_NodeModel):
 G2: dict[str, BaseModel] = {
     "localizer_node": LocalizerParameters(laser_pose=(0.15, 0, 0.35, 0, 0, 0)),
     "registrar_node": RegistrarParameters(laser_pose=(-0.05, 0, 0.60, 0, round(-math.pi / 2, 7), 0), max_wait=60.0),
+    "sweep_node": SweepParameters(laser_pose=(0.15, 0, 0.60, 0, 0, 0)),
     "reconstruct_node": ReconstructParameters(),
     "replay_node": ReplayParameters(),
 }

@@ -50,6 +50,12 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
         _WRITERS[ending](temporary, cloud)
 
 
+def check_cloud_ending(path: str | Path) -> None:
+    """Raises InputError where a cloud cannot be written because of its ending."""
+    if Path(path).suffix.lower() not in _WRITERS:
+        raise _unknown_ending(path)
+
+
 def _unknown_ending(path: str | Path) -> InputError:
     return InputError("has no ending that a cloud can have", where=path, advice=f"use one of {', '.join(_PARSERS)}")
 

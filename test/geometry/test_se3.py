@@ -49,3 +49,15 @@ def test_a_quaternion_that_is_no_rotation_is_refused(quaternion):
 def test_a_pose_without_six_finite_numbers_is_refused(pose):
     with pytest.raises(InputError, match="six finite numbers"):
         se3.from_xyz_rpy(pose)
+
+
+def test_rounding_errors_of_a_rotation_go_and_what_is_no_rotation_is_refused():
+    T = se3.from_xyz_rpy([1, 2, 3, 0.1, 0.2, 0.3])
+    bent = T.copy()
+    bent[:3, :3] += np.random.default_rng(0).normal(0, 1e-3, (3, 3))
+    straight = se3.orthonormal(bent)
+    assert straight[:3, :3] @ straight[:3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
+    assert straight == pytest.approx(T, abs=0.01)
+    for wrong in (np.full((4, 4), np.nan), np.diag([1.0, 1, -1, 1]), 2 * np.eye(4), np.eye(3), 1e9 * np.ones((4, 4))):
+        with pytest.raises(InputError, match="transform"):
+            se3.orthonormal(wrong)

@@ -352,3 +352,12 @@ def test_a_grid_without_cells_becomes_a_message():
     grid = OccupancyGrid(0.05, np.zeros(3), np.empty((0, 0), np.int8))
     message = through_the_wire(conversions.grid_message(HEAD, grid))
     assert (message.info.width, message.info.height, len(message.data)) == (0, 0, 0)
+
+
+def test_the_covariance_of_what_hangs_on_a_pose_is_that_of_its_turns_too():
+    turns = np.zeros((6, 6))
+    turns[5, 5] = 0.01**2
+    moved = conversions.moved_covariance(turns, [2.0, 0.0, 0.0])
+    # A yaw of 0.01 rad moves what is 2 m ahead 2 cm to the left.
+    assert np.sqrt(np.diag(moved)) == pytest.approx([0, 0.02, 0, 0, 0, 0.01])
+    assert moved[1, 5] > 0

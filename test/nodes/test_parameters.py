@@ -20,12 +20,14 @@ from g2_recon.nodes.parameters import (
     ReconstructParameters,
     RegistrarParameters,
     ReplayParameters,
+    SweepParameters,
 )
 
 ROOT = Path(__file__).parents[2]
 MODELS = {
     "localizer_node": LocalizerParameters,
     "registrar_node": RegistrarParameters,
+    "sweep_node": SweepParameters,
     "reconstruct_node": ReconstructParameters,
     "replay_node": ReplayParameters,
 }

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 ROOT = Path(__file__).parents[2]
-NODES = ("localizer_node", "registrar_node", "reconstruct_node", "replay_node")
+NODES = ("localizer_node", "registrar_node", "sweep_node", "reconstruct_node", "replay_node")
 
 
 @pytest.fixture
