@@ -62,18 +62,6 @@ def bare_corridor() -> Rectangles:
     return surfaces(_building((400.0, 2.4), [room((0.0, 400.0), (0.0, 2.4))], ()))
 
 
-def small_room(rng: np.random.Generator) -> Rectangles:
-    """A room of random size with four boxes at random places along its walls, which leave the middle free."""
-    x, y = rng.uniform(4.0, 9.0), rng.uniform(4.0, 9.0)
-    furniture = []
-    for _ in range(4):
-        width, depth, height = rng.uniform(0.4, 1.2), rng.uniform(0.3, 0.6), rng.uniform(0.4, 2.0)
-        at = rng.uniform(0.0, x - width)
-        side = (0.0, depth) if rng.random() < 0.5 else (y - depth, y)
-        furniture.append(cabinet((at, at + width), side, height))
-    return surfaces(_building((x, y), [room((0.0, x), (0.0, y))], tuple(furniture)))
-
-
 def ring() -> tuple[Rectangles, list[Float]]:
     """A corridor round a block of four rooms, and 12 stops on the way round it, each seen from its middle."""
     size, wide = 16.0, 2.2

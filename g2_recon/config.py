@@ -43,6 +43,11 @@ def _check_pose(name: str, pose: tuple[float, ...]) -> None:
         raise ValueError(f"{name} needs six numbers x y z roll pitch yaw (m, rad), or none; got {len(pose)}")
 
 
+def _check_ranges(nearest: float, farthest: float) -> None:
+    if nearest >= farthest:
+        raise ValueError("min_range must be smaller than max_range")
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=False, validate_default=True
@@ -109,8 +114,7 @@ class LocalizationConfig(_Model):
     @model_validator(mode="after")
     def _check(self) -> LocalizationConfig:
         _check_pose("laser_pose", self.laser_pose)
-        if self.min_range >= self.max_range:
-            raise ValueError("min_range must be smaller than max_range")
+        _check_ranges(self.min_range, self.max_range)
         if self.min_correspondence > self.max_correspondence:
             raise ValueError("min_correspondence must not be larger than max_correspondence")
         if self.mode == "localization" and not self.map:
@@ -140,8 +144,7 @@ class RegistrationConfig(_Model):
     @model_validator(mode="after")
     def _check(self) -> RegistrationConfig:
         _check_pose("laser_pose", self.laser_pose)
-        if self.min_range >= self.max_range:
-            raise ValueError("min_range must be smaller than max_range")
+        _check_ranges(self.min_range, self.max_range)
         return self
 
 
@@ -225,8 +228,7 @@ class SweepConfig(_Model):
 
     @model_validator(mode="after")
     def _check(self) -> SweepConfig:
-        if self.min_range >= self.max_range:
-            raise ValueError("min_range must be smaller than max_range")
+        _check_ranges(self.min_range, self.max_range)
         if self.last_gate > self.first_gate:
             raise ValueError("last_gate must not be larger than first_gate")
         return self

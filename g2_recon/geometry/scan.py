@@ -46,6 +46,11 @@ class Scan:
         """Times (B,) in seconds at which the beams were measured."""
         return self.stamp + self.time_increment * np.arange(len(self.ranges), dtype=float)
 
+    @property
+    def last_stamp(self) -> float:
+        """Time in seconds of the beam that was measured last."""
+        return self.stamp + max(0.0, self.time_increment * (len(self.ranges) - 1))
+
     def valid(self, *, range_min: float = 0.0, range_max: float = np.inf) -> NDArray[np.bool_]:
         """Mask (B,) of the beams that measured something (REP-117), within the given limits in metres too.
 

@@ -28,13 +28,11 @@ from g2_recon.localization.odometry import OdometrySteps
 from g2_recon.localization.point_map import first_in_each_cell
 from g2_recon.localization.smoothing import Smoother
 from g2_recon.localization.tracking import FEWEST_SURFACES, Placement, Tracker
-from g2_recon.localization.uncertainty import Uncertainty
+from g2_recon.localization.uncertainty import WAY_PER_RAD, Uncertainty
 from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]
 
-# A turn counts as so many metres of way a radian: it lets drift grow as driving does.
-_WAY_PER_RAD = 0.3
 # The way of the robot is cut into local maps so long.
 _LOCAL_MAP_M = 5.0
 _FEWEST_KEYFRAMES = 2
@@ -195,7 +193,7 @@ class Localizer:
             return True
         if not placement.matched or (way < self._config.keyframe_distance and turn < self._config.keyframe_angle):
             return False
-        self._add_keyframe(seen, placement.pose, way + _WAY_PER_RAD * turn, broken=False)
+        self._add_keyframe(seen, placement.pose, way + WAY_PER_RAD * turn, broken=False)
         return True
 
     def _add_keyframe(self, seen: Beams, pose: Float, way: float, *, broken: bool) -> None:

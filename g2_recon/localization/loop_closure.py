@@ -328,7 +328,7 @@ class LoopCloser:
         weights: Float = np.ones(len(edges))
         for _ in range(rounds):
             squared = pose_graph.deviations(poses, edges)
-            weights = np.where(robust, (_KERNEL / (_KERNEL + squared)) ** 2, 1.0)
+            weights = _doubted(squared, robust)
             before = poses
             poses, _ = pose_graph.solve(poses, edges, weights=weights)
             if np.abs(poses - before).max() < 1e-4:
@@ -367,11 +367,15 @@ class LoopCloser:
         """Joint covariance (3 W, 3 W) of the poses of local maps in the map."""
         edges = self._edges([])
         count = len(self._sequence)
-        weights = (_KERNEL / (_KERNEL + pose_graph.deviations(self.poses, edges))) ** 2
-        weights[:count] = 1.0
+        weights = _doubted(pose_graph.deviations(self.poses, edges), np.arange(len(edges)) >= count)
         edges.hessians[:count] = np.linalg.inv(self.drift_scale * np.reshape(self._drifts, (-1, 3, 3)))
         edges.hessians[count:] = self._of_loops(edges.hessians[count:])
         return pose_graph.covariance(self.poses, edges, weights, wanted)
+
+
+def _doubted(squared: Float, robust: NDArray[np.bool_]) -> Float:
+    """Weights (M,) of edges with squared deviations (M,): less than 1 where they are robust, by Geman and McClure."""
+    return np.where(robust, (_KERNEL / (_KERNEL + squared)) ** 2, 1.0)
 
 
 @numba.njit(cache=True, nogil=True)

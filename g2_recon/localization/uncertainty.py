@@ -25,7 +25,8 @@ _FIRST_SIGMA_M, _LARGEST_SIGMA_M, _MEMORY = 0.02, 0.1, 100
 _DRIFT_SHARE = 0.025
 # Where the scans say nothing: variance of the wheels, and of going on as before, m^2 a m and rad^2 a rad.
 _WHEEL_VARIANCE, _INERTIA_VARIANCE = np.array([0.015, 0.015, 0.05]) ** 2, np.array([0.12, 0.12, 0.1]) ** 2
-_WAY_PER_RAD = 0.3
+WAY_PER_RAD = 0.3
+"""A turn counts as so many metres of way a radian: it lets drift grow as driving does."""
 # So much of the pairs of a bare wall seem to hold a scan along it, as noise tilts their normals.
 _TILTED = 0.01
 _LEAST_WAY_M = 0.01
@@ -78,7 +79,7 @@ class Uncertainty:
 
     def _step(self, edges: pose_graph.Edges | None, moved: Float, *, wheels: bool) -> Float:
         """Covariance (3, 3) that a step (3,) adds, in the frame that it leads to."""
-        way = max(_LEAST_WAY_M, math.hypot(moved[0], moved[1]) + _WAY_PER_RAD * abs(moved[2]))
+        way = max(_LEAST_WAY_M, math.hypot(moved[0], moved[1]) + WAY_PER_RAD * abs(moved[2]))
         information = np.diag(1 / (way * (_WHEEL_VARIANCE if wheels else _INERTIA_VARIANCE)))
         if edges is not None and len(edges):
             self._learn(edges)

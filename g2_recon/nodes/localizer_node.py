@@ -113,11 +113,10 @@ class LocalizerNode(StageNode[LocalizerParameters]):
 
     def _on_odometry(self, message: Odometry) -> None:
         self.received["odom"] += 1
-        try:
-            stamp, T_odom_base = conversions.odometry_from_message(message)
-        except InputError as error:
-            self.drop("unusable odometry", str(error))
+        odometry = self.usable(conversions.odometry_from_message, message, "odometry")
+        if odometry is None:
             return
+        stamp, T_odom_base = odometry
         if stamp < self._odometry.last_stamp - _MAX_ODOMETRY_GAP_S:
             self._odometry.clear()
         self._odometry.add(stamp, T_odom_base)
@@ -128,10 +127,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         if self.paused:
             self.drops["scan while paused"] += 1
             return
-        try:
-            scan = conversions.scan_from_message(message)
-        except InputError as error:
-            self.drop("unusable scan", str(error))
+        scan = self.usable(conversions.scan_from_message, message, "scan")
+        if scan is None:
             return
         if self._jumps.jumped_back(scan.stamp):
             self.get_logger().warning(f"time jumped back to {scan.stamp:.3f} s: starting a new map")

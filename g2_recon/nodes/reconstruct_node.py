@@ -69,10 +69,8 @@ class ReconstructNode(StageNode[ReconstructParameters]):
             frames = f"it is in '{message.header.frame_id}', not '{self.settings.map_frame}'"
             self.drop("cloud in another frame", frames)
             return
-        try:
-            received = conversions.cloud_from_message(message)
-        except InputError as error:
-            self.drop("unusable cloud", str(error))
+        received = self.usable(conversions.cloud_from_message, message, "cloud")
+        if received is None:
             return
         cloud = conversions.usable_points(received)
         if len(cloud) < len(received):

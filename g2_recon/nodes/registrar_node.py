@@ -13,7 +13,6 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan, PointCloud2
 
-from g2_recon.errors import InputError
 from g2_recon.nodes import conversions
 from g2_recon.nodes.parameters import RegistrarParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
@@ -56,10 +55,8 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self.received["pose"] += 1
         if not self._in_map_frame(message.header.frame_id, "pose"):
             return
-        try:
-            T_map_base = conversions.pose_matrix(message.pose.pose)
-        except InputError as error:
-            self.drop("unusable pose", str(error))
+        T_map_base = self.usable(conversions.pose_matrix, message.pose.pose, "pose")
+        if T_map_base is None:
             return
         stamp = conversions.stamp_seconds(message.header.stamp)
         self._reset_if_jumped("pose", stamp)
@@ -71,10 +68,8 @@ class RegistrarNode(StageNode[RegistrarParameters]):
 
     def _on_scan(self, message: LaserScan) -> None:
         self.received["scan_vertical"] += 1
-        try:
-            scan = conversions.scan_from_message(message)
-        except InputError as error:
-            self.drop("unusable scan", str(error))
+        scan = self.usable(conversions.scan_from_message, message, "scan")
+        if scan is None:
             return
         self._reset_if_jumped("scan_vertical", scan.stamp)
         T_base_laser = self._mount.find(scan.frame_id)

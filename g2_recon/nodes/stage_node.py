@@ -26,6 +26,8 @@ from g2_recon.nodes import parameters
 from g2_recon.nodes.ros import Transforms
 
 Settings = TypeVar("Settings", bound=BaseModel)
+Message = TypeVar("Message")
+Content = TypeVar("Content")
 
 # Time that jumps back by more than this is a recording that starts again; less is disorder of a recording.
 _JUMP_S = 1.0
@@ -59,6 +61,14 @@ class StageNode(Node, Generic[Settings]):
         """Count something that is not used; the first of each reason is also logged."""
         self.drops[reason] += 1
         self.say_once(reason, f"dropped: {reason}{': ' if detail else ''}{detail}; more such are only counted")
+
+    def usable(self, convert: Callable[[Message], Content], message: Message, what: str) -> Content | None:
+        """What a conversion makes of a message, or None, counted, where that raises InputError."""
+        try:
+            return convert(message)
+        except InputError as error:
+            self.drop(f"unusable {what}", str(error))
+            return None
 
     def say_once(self, key: str, text: str) -> None:
         """Log a warning, only once for each key."""

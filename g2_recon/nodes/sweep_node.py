@@ -78,11 +78,10 @@ class SweepNode(StageNode[SweepParameters]):
 
     def _on_odometry(self, message: Odometry) -> None:
         self.received["odom"] += 1
-        try:
-            stamp, T_odom_base = conversions.odometry_from_message(message)
-        except InputError as error:
-            self.drop("unusable odometry", str(error))
+        odometry = self.usable(conversions.odometry_from_message, message, "odometry")
+        if odometry is None:
             return
+        stamp, T_odom_base = odometry
         self._odometry.add(stamp, T_odom_base)
         self._odometry.drop_before(self._odometry.last_stamp - self.settings.odometry_kept)
         if self._assembler is not None:
@@ -91,10 +90,8 @@ class SweepNode(StageNode[SweepParameters]):
 
     def _on_sweep(self, message: PointCloud2) -> None:
         self.received["sweep"] += 1
-        try:
-            cloud = conversions.cloud_from_message(message)
-        except InputError as error:
-            self.drop("unusable sweep", str(error))
+        cloud = self.usable(conversions.cloud_from_message, message, "sweep")
+        if cloud is None:
             return
         T_base_laser = self._mount.find(message.header.frame_id)
         if T_base_laser is None:
@@ -119,10 +116,8 @@ class SweepNode(StageNode[SweepParameters]):
 
     def _on_scan(self, message: LaserScan) -> None:
         self.received["scan_tilt"] += 1
-        try:
-            scan = conversions.scan_from_message(message)
-        except InputError as error:
-            self.drop("unusable scan", str(error))
+        scan = self.usable(conversions.scan_from_message, message, "scan")
+        if scan is None:
             return
         self._reset_if_jumped("scan_tilt", scan.stamp)
         if self._assembler is None and not self._start_assembler(scan.frame_id):

@@ -11,14 +11,12 @@ ROBOTLASER1 type start_angle field_of_view angle_step max_range accuracy remissi
 
 from __future__ import annotations
 
-import bz2
 import logging
 import math
-import zlib
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,15 +28,13 @@ from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.progress import Progress, silent
 from g2_recon.recording.files import read_bytes
+from g2_recon.recording.packing import unpack
 
 CARMEN_ENDINGS = (".log", ".clf")
 
 _log = logging.getLogger(__name__)
 
-_MAX_UNPACKED_BYTES = 2 << 30
 _MAX_BEAMS = 100_000
-_PIECE = 4096
-"""Packed bytes unpacked at once; small, so that a hostile file cannot unpack to more than some 100 MB at a time."""
 
 _FIELDS_AFTER_RANGES = 9
 """Of a FLASER line with a stamp: two poses, stamp, host, logger stamp."""
@@ -86,7 +82,7 @@ def read_carmen(path: str | Path, *, progress: Progress = silent) -> Recording:
     Lines that cannot be used are counted in `drops`, as is a packed file that ends early. Raises InputError if the
     file cannot be read or holds no usable laser line.
     """
-    text, complaint = _unpack(read_bytes(path), where=path)
+    text, complaint = unpack(read_bytes(path), where=path)
     drops: Counter[str] = Counter([complaint] if complaint else [])
     lines = text.decode("latin-1").split("\n")
     progress("read log", 0, len(lines))
@@ -115,45 +111,6 @@ def read_carmen(path: str | Path, *, progress: Progress = silent) -> Recording:
         T_base_laser=np.eye(4),
         drops=dict(drops),
     )
-
-
-class _Decompressor(Protocol):
-    def decompress(self, data: bytes, /) -> bytes: ...
-
-    @property
-    def eof(self) -> bool: ...
-
-    @property
-    def unused_data(self) -> bytes: ...
-
-
-def _unpack(packed: bytes, *, where: object) -> tuple[bytes, str]:
-    """The content of a plain, gzip or bzip2 file as far as it can be read, and a complaint if that is not all."""
-    if not packed.startswith((b"\x1f\x8b", b"BZh")):
-        return packed, ""
-    pieces: list[bytes] = []
-    size = position = 0
-    unpacker = _new_unpacker(packed)
-    while position < len(packed):
-        piece = packed[position : position + _PIECE]
-        try:
-            pieces.append(unpacker.decompress(piece))
-        except (zlib.error, OSError, EOFError, ValueError):
-            return b"".join(pieces), "damaged place in the packed file (the rest is lost)"
-        position += len(piece)
-        size += len(pieces[-1])
-        if size > _MAX_UNPACKED_BYTES:
-            raise InputError(f"unpacks to more than {_MAX_UNPACKED_BYTES >> 30} GiB", where=where, advice="split it")
-        if unpacker.eof:
-            position -= len(unpacker.unused_data)
-            if not packed[position:].strip(b"\0"):
-                return b"".join(pieces), ""
-            unpacker = _new_unpacker(packed)
-    return b"".join(pieces), "packed file that ends early (the rest is lost)"
-
-
-def _new_unpacker(packed: bytes) -> _Decompressor:
-    return zlib.decompressobj(wbits=31) if packed.startswith(b"\x1f\x8b") else bz2.BZ2Decompressor()
 
 
 def _read_flaser(lines: list[str], drops: Counter[str]) -> list[_Reading]:

@@ -8,9 +8,7 @@ forward, y left, z up.
 
 from __future__ import annotations
 
-import gzip
 import warnings
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.recording.files import read_bytes
+from g2_recon.recording.packing import GZIP, unpack
 
 Float = NDArray[np.float64]
 
@@ -34,10 +33,10 @@ def read_3d(path: str | Path) -> Cloud:
     """
     content = read_bytes(path)
     if Path(path).suffix.lower() == ".gz":
-        try:
-            content = gzip.decompress(content)
-        except (OSError, EOFError, zlib.error):
-            raise InputError("is no gzip file or is cut short", where=path, advice="copy it again") from None
+        packed = content.startswith(GZIP)
+        content, complaint = unpack(content, where=path)
+        if not packed or complaint:
+            raise InputError("is no gzip file or is cut short", where=path, advice="copy it again")
     table = _table(content, path)
     if table.shape[1] < 3:
         raise InputError(f"has {table.shape[1]} numbers a line", where=path, advice="expected lines of x y z")

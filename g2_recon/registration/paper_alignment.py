@@ -31,11 +31,11 @@ def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, ga
 
     Where no pairs are left, it stays where it had some.
     """
+    surface, points, tree = fixed.points, moving.points[::_COARSE_STEP], cKDTree(fixed.points)
     for reach in _gates(gate, last_gate):
         narrow = reach == last_gate
-        surface = fixed.measured if narrow else fixed.points
-        points = moving.points if narrow else moving.points[::_COARSE_STEP]
-        tree = cKDTree(surface)
+        if narrow:
+            surface, points, tree = fixed.measured, moving.points, cKDTree(fixed.measured)
         for _ in range(_ITERATIONS):
             placed = se3.transform_points(T_fixed_moving, points)
             distances, rows = tree.query(placed, distance_upper_bound=reach)

@@ -71,8 +71,7 @@ class Registrar:
 
     def add_scan(self, scan: Scan) -> None:
         """Place a scan, now or when its poses have come."""
-        last_beam = scan.stamp + max(0.0, scan.time_increment * (len(scan.ranges) - 1))
-        heapq.heappush(self._waiting, (last_beam, self._count, scan))
+        heapq.heappush(self._waiting, (scan.last_stamp, self._count, scan))
         self._count += 1
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._place_waiting()

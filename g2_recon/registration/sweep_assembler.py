@@ -107,7 +107,7 @@ class SweepAssembler:
         return self.take()
 
     def _take_scans(self) -> None:
-        while self._waiting and self._angle_stamps and _last_beam(self._waiting[0]) <= self._angle_stamps[-1]:
+        while self._waiting and self._angle_stamps and self._waiting[0].last_stamp <= self._angle_stamps[-1]:
             scan = self._waiting.pop(0)
             if scan.stamp < self._angle_stamps[0]:
                 self._drops["scans without a tilt angle"] += 1
@@ -194,7 +194,3 @@ class SweepAssembler:
             )
         points = np.concatenate(places)
         return Cloud(points, np.zeros_like(points))
-
-
-def _last_beam(scan: Scan) -> float:
-    return scan.stamp + max(0.0, scan.time_increment * (len(scan.ranges) - 1))
