@@ -83,3 +83,13 @@ def inverse_3x3(A: Float) -> Float:
         unit[k] = 1.0
         inverted[k] = solve_3x3(A, unit)
     return 0.5 * (inverted + inverted.T)
+
+
+@numba.njit(cache=True, nogil=True)
+def weakest(A: Float) -> tuple[float, Float]:
+    """The lesser eigenvalue of a symmetric A (2, 2), or of the upper left of a larger one, and its direction (2,)."""
+    mean, half, b = 0.5 * (A[0, 0] + A[1, 1]), 0.5 * (A[0, 0] - A[1, 1]), A[0, 1]
+    direction = np.empty(2)
+    angle = 0.5 * math.atan2(b, half)
+    direction[0], direction[1] = -math.sin(angle), math.cos(angle)
+    return mean - math.hypot(half, b), direction

@@ -14,6 +14,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.localization.beams import CORNER, INVALID, SURFACE
+
 Float = NDArray[np.float64]
 Grid = NDArray[np.uint8]
 
@@ -183,3 +185,23 @@ def slide(  # type: ignore[no-untyped-def]
         if bend > 0:
             off += 0.5 * step * (costs[k - 1] - costs[k + 1]) / bend
     return off, highest - lowest
+
+
+@numba.njit(cache=True, nogil=True)
+def telling(points, normals, kinds, increment, direction, dense, steep):  # type: ignore[no-untyped-def]
+    """The kinds (N,) of the beams that can tell how far a scan is along a direction (2,) in it, INVALID for the others.
+
+    Beams farther apart than `dense` (m) on a wall along that direction (sine between them less than `steep`) hit it at
+    the same bearings wherever the robot is: they would hold it where it was.
+    """
+    result = np.full(len(kinds), INVALID, kinds.dtype)
+    for b in range(len(kinds)):
+        x, y, nx, ny = points[b, 0], points[b, 1], normals[b, 0], normals[b, 1]
+        if kinds[b] == CORNER:
+            result[b] = kinds[b]
+        elif kinds[b] == SURFACE:
+            # From beam to beam along the wall, m: r d(bearing) over the cosine between beam and normal.
+            apart = (x * x + y * y) * increment > dense * abs(x * nx + y * ny)
+            if not (apart and abs(nx * direction[0] + ny * direction[1]) < steep):
+                result[b] = kinds[b]
+    return result

@@ -244,7 +244,7 @@ class LoopCloser:
             used.append(j)
             self.tried += 1
             loop = self._register(c, j, window[j], turn[j])
-            if loop is not None and self._accept(j, c, *loop):
+            if loop is not None and self._accept(j, c, *loop, learn=wide):
                 found += 1
                 if found >= _ENOUGH_FOUND:
                     break
@@ -306,12 +306,16 @@ class LoopCloser:
         information = np.array([*[s[1] for s in self._sequence], *[loop[3] for loop in loops]]).reshape(-1, 3, 3)
         return pose_graph.measured(first, second, T, information)
 
-    def _accept(self, j: int, c: int, T: Float, information: Float) -> bool:
-        """Believe a loop if the graph with it, the loop itself not doubted, costs little more than without."""
+    def _accept(self, j: int, c: int, T: Float, information: Float, *, learn: bool = True) -> bool:
+        """Believe a loop if the graph with it, the loop itself not doubted, costs little more than without.
+
+        learn: whether it tells how far the robot drifted, as it does where the place has not just been put right.
+        """
         new = (j, c, T, information)
         poses, cost, squared = self._solved([new], trust_last=True, rounds=8)
         if cost - self._cost < _MOST_COST and squared[-1] < _MOST_DEVIATION:
-            self._learn_drift(j, c, T, information)
+            if learn:
+                self._learn_drift(j, c, T, information)
             self.poses = poses
             self._cost = cost
             self.loops.append(new)

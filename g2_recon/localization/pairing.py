@@ -304,28 +304,28 @@ def accumulate(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigma, loose):  # type: ignore[no-untyped-def]
+def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigma, loose, step):  # type: ignore[no-untyped-def]
     """What keyframes i and j say about T_j_i, each scan laid on the other: hessian, gradient, inliers, seen.
 
-    loose: kinds of beams on no surface that count.
+    loose: kinds of beams on no surface that count. Every `step`-th beam is used.
     """
     hessian = np.zeros((3, 3))
     gradient = np.zeros(3)
     memory = room(kinds.shape[1])
     inliers, seen = accumulate(
-        T_j_i, parted(points[i], normals[i], kinds[i], loose, 1),
+        T_j_i, parted(points[i], normals[i], kinds[i], loose, step),
         points[j], normals[j], kinds[j], firsts[j], increments[j],
         distance, sigma, False, hessian, gradient, memory, loose,
     )  # fmt: skip
     more, seen_back = accumulate(
-        inverse(T_j_i), parted(points[j], normals[j], kinds[j], loose, 1),
+        inverse(T_j_i), parted(points[j], normals[j], kinds[j], loose, step),
         points[i], normals[i], kinds[i], firsts[i], increments[i],
         distance, sigma, True, hessian, gradient, memory, loose,
     )  # fmt: skip
     return hessian, gradient, inliers + more, seen + seen_back
 
 
-def _several_pairs(poses, first, second, points, normals, kinds, firsts, increments, distance, sigma, loose):  # type: ignore[no-untyped-def]
+def _several_pairs(poses, first, second, points, normals, kinds, firsts, increments, distance, sigma, loose, step):  # type: ignore[no-untyped-def]
     """`pair` for many: T_j_i (M, 3) of keyframes i = first, j = second, hessians (M, 3, 3), gradients, counts.
 
     The counts (M, 2) are of inliers and of beams in view.
@@ -337,7 +337,7 @@ def _several_pairs(poses, first, second, points, normals, kinds, firsts, increme
         i, j = first[m], second[m]
         T[m] = relative(poses[j], poses[i])
         hessians[m], gradients[m], counts[m, 0], counts[m, 1] = pair(
-            T[m], i, j, points, normals, kinds, firsts, increments, distance, sigma, loose
+            T[m], i, j, points, normals, kinds, firsts, increments, distance, sigma, loose, step
         )
     return T, hessians, gradients, counts
 

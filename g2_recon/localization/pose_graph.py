@@ -61,11 +61,22 @@ def joined(*parts: Edges) -> Edges:
 
 def at_poses(poses: Float, edges: Edges) -> Edges:
     """The same edges as if they had been measured at the poses (N, 3)."""
-    T = se2.relative(poses[edges.second], poses[edges.first])
-    d = T - edges.T
-    d[:, 2] = se2.wrap_angle(d[:, 2])
-    gradients = edges.gradients + (edges.hessians @ d[..., None])[..., 0]
+    T, gradients = _moved(poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients)
     return Edges(edges.first, edges.second, T, edges.hessians, gradients)
+
+
+@numba.njit(cache=True, nogil=True)
+def _moved(poses, first, second, T, hessians, gradients):  # type: ignore[no-untyped-def]
+    """T_j_i (M, 3) at poses (N, 3), and what the gradients (M, 3) at T are there."""
+    now, there = np.empty_like(T), gradients.copy()
+    for m in range(len(first)):
+        now[m] = relative(poses[second[m]], poses[first[m]])
+        d = now[m] - T[m]
+        d[2] = wrap(d[2])
+        for u in range(3):
+            for v in range(3):
+                there[m, u] += hessians[m, u, v] * d[v]
+    return now, there
 
 
 @numba.njit(cache=True, nogil=True)

@@ -26,6 +26,8 @@ _MOST_NEIGHBORS = 10
 _APART = 2
 _LEAST_WAY_M = 3.0
 _ROUNDS = 8
+# While partners are far, every so manieth beam will do.
+_COARSE_STEP, _COARSE_ROUNDS = 3, 5
 _DISTANCE_M = (0.8, 0.12)
 _SIGMA_M = (0.2, 0.045)
 _LEAST_INLIERS, _FEWEST_INLIERS = 0.4, 30
@@ -52,7 +54,12 @@ def refine(
         share = min(1.0, done / (_ROUNDS - 3))
         distance = _DISTANCE_M[0] * (_DISTANCE_M[1] / _DISTANCE_M[0]) ** share
         sigma = _SIGMA_M[0] * (_SIGMA_M[1] / _SIGMA_M[0]) ** share
-        T, hessians, gradients, counts = pairing.pairs(poses, first, second, *keyframes.arrays, distance, sigma, LOOSE)
+        step = _COARSE_STEP if done < _COARSE_ROUNDS else 1
+        T, hessians, gradients, counts = pairing.pairs(
+            poses, first, second, *keyframes.arrays, distance, sigma, LOOSE, step
+        )
+        # As of all beams.
+        hessians, gradients, counts = step * hessians, step * gradients, step * counts
         used = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
         seen = pose_graph.Edges(first, second, T, hessians, gradients)[used]
         edges = pose_graph.joined(seen, wheels)

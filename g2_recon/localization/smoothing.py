@@ -25,7 +25,7 @@ _DISTANCE_M, _KERNEL_M = 0.12, 0.045
 _LEAST_INLIERS, _FEWEST_INLIERS = 0.35, 30
 _ALWAYS = 2
 _ODOMETRY_WEIGHT = 5.0
-_ROUNDS = 2
+_ROUNDS = 1
 # Rows for the edges of a window, and then some.
 _ROOM = 4 * (_LAG + _RELAID) * (len(_SPANS) + 1)
 
@@ -57,9 +57,10 @@ class Smoother:
         self._wheels.pop(k - _RELAID, None)
         relaid, start = max(segment + 1, k + 1 - _RELAID), max(segment + 1, k - _LAG)
         self._edges.shorten(self._begins.get(relaid, self._edges.end))
+        laid = self._laid(relaid, k, segment)
         for i in range(relaid, k + 1):
             self._begins[i] = self._edges.end
-            self._latest = self._laid(i, segment)
+            self._latest = laid[laid.first == i]
             self._edges.extend(self._latest)
             self._edges.extend(self._wheels[i])
         for past in [i for i in self._begins if i < start]:
@@ -73,15 +74,16 @@ class Smoother:
         """The edges of the latest keyframe, at the present poses; None where there is none before it."""
         return None if self._latest is None else pose_graph.at_poses(self._keyframes.poses, self._latest)
 
-    def _laid(self, i: int, segment: int) -> pose_graph.Edges:
-        """Edges of a keyframe to those before it that it fits on."""
-        second = i - _SPANS[i - segment >= _SPANS]
-        first = np.full(len(second), i)
+    def _laid(self, relaid: int, k: int, segment: int) -> pose_graph.Edges:
+        """Edges of the keyframes from `relaid` to k to those before them that they fit on."""
+        first = np.repeat(np.arange(relaid, k + 1), len(_SPANS))
+        second = first - np.tile(_SPANS, k + 1 - relaid)
+        first, second = first[second >= segment], second[second >= segment]
         T, hessians, gradients, counts = pairing.few_pairs(
-            self._keyframes.poses, first, second, *self._keyframes.arrays, _DISTANCE_M, _KERNEL_M, CORNER
+            self._keyframes.poses, first, second, *self._keyframes.arrays, _DISTANCE_M, _KERNEL_M, CORNER, 1
         )
         fits = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
-        return pose_graph.Edges(first, second, T, hessians, gradients)[fits | (i - second <= _ALWAYS)]
+        return pose_graph.Edges(first, second, T, hessians, gradients)[fits | (first - second <= _ALWAYS)]
 
 
 class _Rows:

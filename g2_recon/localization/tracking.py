@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry import se2
-from g2_recon.geometry.se2_kernels import compose, relative
+from g2_recon.geometry.se2_kernels import compose, relative, weakest
 from g2_recon.localization import likelihood, pairing
-from g2_recon.localization.beams import CORNER, INVALID, SURFACE, Beams
+from g2_recon.localization.beams import INVALID, SURFACE, Beams
 from g2_recon.localization.keyframes import Keyframes
 
 Float = NDArray[np.float64]
@@ -32,14 +32,16 @@ _DRAWN = 40
 _RESOLUTION_M, _SIGMA_M = 0.1, 0.12
 _GRID_CELLS = 500
 
-# Search windows around a prediction: turns of 1 deg, cells of 10 cm.
-_TURNS, _TURN, _SHIFTS = 20, math.radians(1.0), 2
+# Search windows around a prediction: turns of 1 deg to either side, with and without odometry, and cells of 10 cm.
+_TURNS, _TURNS_WITHOUT, _TURN, _SHIFTS = 20, 50, math.radians(1.0), 2
 _SEARCH_BEAMS = 90
 # Without odometry the best place is then looked for between the cells, and believed as much, m and rad.
 _CLIMBS = 3
 _FOUND_SIGMA = np.array([0.05, 0.05, 0.1])
-# Where nothing was found the robot may have turned far between two scans: so many searches beside each other.
+# Where nothing was found the robot may have turned far between two scans: so many searches beside each other, of which
+# the best few are matched.
 _FAR_TURNS = np.radians([40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0])
+_FAR_MATCHED = 3
 
 # Along the direction in which the surfaces hold a scan least, if they hold it with less than so many beams, it slides
 # to where it fits best: so far, in such steps, in a grid of its own, m. It comes to lie so exactly, m, if the
@@ -84,7 +86,7 @@ class Placement:
     pose: (3,) T_map_laser. information: (3, 3) of the match and the prediction. quality: share of agreement, 0 to 1.
     inliers: share of the beams in view of the references that have a partner. matched: whether it is believed.
     wheels_err: whether it is believed although the wheels say otherwise. hessian: (3, 3) that the match ended with, of
-    scans and prediction.
+    scans and prediction. agreeing: how many points both scans see.
     """
 
     pose: Float
@@ -94,6 +96,7 @@ class Placement:
     matched: bool
     wheels_err: bool = False
     hessian: Float = field(default_factory=lambda: np.zeros((3, 3)))
+    agreeing: int = 0
 
 
 class Tracker:
@@ -175,10 +178,11 @@ class Tracker:
             if self._good(best):
                 return best
             margin = _MARGIN
-        if not best.matched:
-            for turn in _FAR_TURNS:
-                other = self._found(beams, guess + (0.0, 0.0, turn), None)
-                if other.quality > max(best.quality, _FAIR):
+        if not best.matched or (step is None and best.quality < _FAIR):
+            searches = [self._search(beams, guess + (0.0, 0.0, turn), _TURNS) for turn in _FAR_TURNS]
+            for start, _ in sorted(searches, key=lambda search: -search[1])[:_FAR_MATCHED]:
+                other = self._lay(beams, start, _FOUND_SIGMA)
+                if other.quality > max(best.quality, _FAIR) and not (best.matched and _agrees_less(other, best)):
                     best = other
         return best
 
@@ -233,7 +237,9 @@ class Tracker:
         )  # fmt: skip
         quality = same / max(1, same + 2 * against)
         information = (hessian - prior) / self.pair_sigma**2 + np.diag(1 / sigma**2)
-        return Placement(pose, information, quality, inliers, quality >= LEAST_QUALITY, hessian=hessian)
+        return Placement(
+            pose, information, quality, inliers, quality >= LEAST_QUALITY, hessian=hessian, agreeing=int(same)
+        )
 
     def _found(self, beams: Beams, guess: Float, sigma: Float | None) -> Placement:
         """Match from the best place around a guess; without a sigma, that place counts and the guess no longer.
@@ -241,16 +247,23 @@ class Tracker:
         Along a bare corridor the points that are on no surface, such as door frames, are all that there is; without
         odometry the place where they fit best is a better guess than the speed before, which would run away.
         """
+        if sigma is not None:
+            start, _ = self._search(beams, guess, _TURNS)
+            return self._lay(beams, start, sigma, guess)
+        start, _ = self._search(beams, guess, _TURNS_WITHOUT)
+        x, y = self._corner
+        start = likelihood.climb(self._grid, beams.points, beams.kinds, start, x, y, _RESOLUTION_M, _TURN, _CLIMBS)
+        return self._lay(beams, start, _FOUND_SIGMA)
+
+    def _search(self, beams: Beams, guess: Float, turns: int) -> tuple[Float, float]:
+        """The best place of the scan around a guess (3,), and its score."""
         self._draw()
         used = max(1, np.count_nonzero(beams.kinds != INVALID) // _SEARCH_BEAMS)
         x, y = self._corner
-        start = likelihood.search(
-            self._grid, self._wide, beams.points, beams.kinds, guess, x, y, _RESOLUTION_M, _TURNS, _TURN, _SHIFTS, used
-        )[0]
-        if sigma is not None:
-            return self._lay(beams, start, sigma, guess)
-        start = likelihood.climb(self._grid, beams.points, beams.kinds, start, x, y, _RESOLUTION_M, _TURN, _CLIMBS)
-        return self._lay(beams, start, _FOUND_SIGMA)
+        found: tuple[Float, float] = likelihood.search(
+            self._grid, self._wide, beams.points, beams.kinds, guess, x, y, _RESOLUTION_M, turns, _TURN, _SHIFTS, used
+        )
+        return found
 
     def _slid(self, beams: Beams, placement: Placement, guess: Float, *, without: bool) -> Placement:
         """Slide along the direction that surfaces hold least, to where surfaces and corners fit the map best.
@@ -258,12 +271,13 @@ class Tracker:
         Door frames, and the far end of a corridor of which a few beams speak, tell the way along it. guess: (3,) where
         the scan is expected to lie; without: odometry.
         """
-        values, vectors = np.linalg.eigh(placement.hessian[:2, :2])
-        if values[0] > _WEAK:
+        held, weak = weakest(placement.hessian)
+        if held > _WEAK:
             return placement
-        weak = np.ascontiguousarray(vectors[:, 0])
         expected = float((guess - placement.pose)[:2] @ weak)
-        kinds = np.where(_telling(beams, weak, placement.pose[2]), beams.kinds, INVALID)
+        cos, sin = math.cos(placement.pose[2]), math.sin(placement.pose[2])
+        in_scan = np.array([cos * weak[0] + sin * weak[1], cos * weak[1] - sin * weak[0]])
+        kinds = likelihood.telling(beams.points, beams.normals, beams.kinds, beams.increment, in_scan, _DENSE_M, _ALONG)
         away = _AWAY_WITHOUT if without else _AWAY_WITH_ODOMETRY
         grid, (x, y) = self._drawn_fine(), self._fine_corner
         off, contrast = likelihood.slide(
@@ -274,7 +288,7 @@ class Tracker:
             return placement
         seen = 1 / _SLID_SIGMA_M**2
         pose, information = placement.pose.copy(), placement.information.copy()
-        pose[:2] += seen / (seen + values[0] / PAIR_SIGMA_M**2) * off * weak
+        pose[:2] += seen / (seen + held / PAIR_SIGMA_M**2) * off * weak
         information[:2, :2] += seen * np.outer(weak, weak)
         return replace(placement, pose=pose, information=information)
 
@@ -303,31 +317,24 @@ class Tracker:
         self._drawn = True
 
 
-def _telling(beams: Beams, weak: Float, yaw: float) -> NDArray[np.bool_]:
-    """Mask (B,) of the beams of a scan at a yaw that can tell how far the laser is along a direction (2,) of the map.
-
-    Beams far apart on a wall along that direction hit it at the same bearings wherever the robot is: they would hold it
-    where it was.
-    """
-    # From beam to beam along the wall, m: r d(bearing) over the cosine between beam and normal.
-    across = np.abs((beams.points * beams.normals).sum(axis=1))
-    apart = (beams.points**2).sum(axis=1) * beams.increment > _DENSE_M * across
-    along = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]).T @ weak
-    bare = apart & (np.abs(beams.normals @ along) < _ALONG)
-    return (beams.kinds == CORNER) | ((beams.kinds == SURFACE) & ~bare)
-
-
 def _wheel_sigma(step: Float) -> Float:
     """Sigma (3,) of what the wheels say of a step (3,)."""
     way, turn = math.hypot(step[0], step[1]), abs(step[2])
-    return np.array(_WHEEL_SIGMA) + np.array(_WHEEL_SHARE) * (way, way, turn)
+    (x, y, yaw), (x_share, y_share, yaw_share) = _WHEEL_SIGMA, _WHEEL_SHARE
+    return np.array([x + x_share * way, y + y_share * way, yaw + yaw_share * turn])
 
 
 def _near(pose: Float, guess: Float, most: Float) -> bool:
     """Whether a pose (3,) is no farther from a guess than this (3,)."""
-    return bool((np.abs(relative(guess, pose)) <= most).all())
+    off = relative(guess, pose)
+    return bool(abs(off[0]) <= most[0] and abs(off[1]) <= most[1] and abs(off[2]) <= most[2])
 
 
 def _fits_better(one: Placement, other: Placement) -> bool:
     """Whether of two that agree alike the one has clearly more inliers."""
     return one.quality > other.quality - _SEARCH_MARGIN and one.inliers > other.inliers + _INLIER_MARGIN
+
+
+def _agrees_less(one: Placement, other: Placement) -> bool:
+    """Whether the one is no surer than the other: one that looks the other way has little in common to err about."""
+    return one.quality < _GOOD or one.agreeing < other.agreeing

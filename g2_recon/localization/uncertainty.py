@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry.se2_kernels import carried, relative, solve_3x3
+from g2_recon.geometry.se2_kernels import carried, inverse_3x3, relative, solve_3x3, weakest
 from g2_recon.localization import pose_graph
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.pairing import add_turned
@@ -80,13 +80,11 @@ class Uncertainty:
     def _step(self, edges: pose_graph.Edges | None, moved: Float, *, wheels: bool) -> Float:
         """Covariance (3, 3) that a step (3,) adds, in the frame that it leads to."""
         way = max(_LEAST_WAY_M, math.hypot(moved[0], moved[1]) + WAY_PER_RAD * abs(moved[2]))
-        information = np.diag(1 / (way * (_WHEEL_VARIANCE if wheels else _INERTIA_VARIANCE)))
-        if edges is not None and len(edges):
-            self._learn(edges)
-            hessian = _mean_seen_from_first(edges.hessians, edges.T[:, 2])
-            held = hessian / (_DRIFT_SHARE * self._variance)
-            return np.linalg.inv(information + held) + _unheld(held, information)
-        return np.linalg.inv(information)
+        variance = way * (_WHEEL_VARIANCE if wheels else _INERTIA_VARIANCE)
+        if edges is None or not len(edges):
+            return np.diag(variance)
+        self._learn(edges)
+        return np.asarray(_added(edges.hessians, edges.T[:, 2], variance, _DRIFT_SHARE * self._variance))
 
     def _learn(self, edges: pose_graph.Edges) -> None:
         """What edges want other than they have got, in units of their own information, tells how far scans err."""
@@ -96,15 +94,14 @@ class Uncertainty:
     def _led_on(self, covariance: Float, k: int, scale: float) -> Float:
         """The covariance (3, 3) of keyframe k - 1 as that of keyframe k."""
         poses = self._keyframes.poses
-        x, y, _ = poses[k] - poses[k - 1]
-        return carried(covariance, x, y) + scale * _rotated(self._steps[k], poses[k, 2])
+        return np.asarray(_led_on(covariance, poses[k - 1], poses[k], scale * self._steps[k]))
 
     def between(self, a: int, b: int) -> Float:
         """Covariance (3, 3) of keyframe b > a as seen from a, in the frame of a, before it is scaled."""
         covariance: Float = np.zeros((3, 3))
         for k in range(a + 1, b + 1):
             covariance = self._led_on(covariance, k, 1.0)
-        return _rotated(covariance, -self._keyframes.poses[a, 2])
+        return np.asarray(_rotated(covariance, -self._keyframes.poses[a, 2]))
 
     def take_back(self, k: int, covariance: Float) -> None:
         """Keyframe k is now known this well in the map, and the latest one with it."""
@@ -137,24 +134,36 @@ def _mean_seen_from_first(hessians, yaws):  # type: ignore[no-untyped-def]
     return total / len(yaws)
 
 
-def _unheld(held: Float, otherwise: Float) -> Float:
-    """Covariance (3, 3) that is missing along a direction with no surface, where noise of normals seems to hold a scan.
+@numba.njit(cache=True, nogil=True)
+def _added(hessians, yaws, otherwise, variance):  # type: ignore[no-untyped-def]
+    """Covariance (3, 3) of a step that edges T_j_i with hessians (M, 3, 3) and yaws (M,) of one i hold, in frame i.
 
-    held: (3, 3) information of the scans. otherwise: of all else.
+    otherwise: (3,) variances of all else that is known. variance: of a pair of points, m^2.
     """
-    values, vectors = np.linalg.eigh(held[:2, :2])
-    rest = vectors[:, 0] @ otherwise[:2, :2] @ vectors[:, 0]
-    honest = max(0.0, values[0] - _TILTED * values.sum())
-    missing = np.zeros((3, 3))
-    missing[:2, :2] = (1 / (honest + rest) - 1 / (values[0] + rest)) * np.outer(vectors[:, 0], vectors[:, 0])
-    return missing
+    held = _mean_seen_from_first(hessians, yaws) / variance
+    total = held.copy()
+    for u in range(3):
+        total[u, u] += 1 / otherwise[u]
+    covariance = inverse_3x3(total)
+    # Along a direction with no surface, where noise of normals seems to hold a scan, the rest is missing.
+    least, direction = weakest(held)
+    rest = direction[0] ** 2 / otherwise[0] + direction[1] ** 2 / otherwise[1]
+    honest = max(0.0, least - _TILTED * (held[0, 0] + held[1, 1]))
+    missing = 1 / (honest + rest) - 1 / (least + rest)
+    for u in range(2):
+        for v in range(2):
+            covariance[u, v] += missing * direction[u] * direction[v]
+    return covariance
 
 
-def _rotated(covariance: Float, yaw: float) -> Float:
-    turn = _turn(yaw)
-    return np.ascontiguousarray(turn @ covariance @ turn.T)
+@numba.njit(cache=True, nogil=True)
+def _rotated(covariance, yaw):  # type: ignore[no-untyped-def]
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return turn @ covariance @ turn.T
 
 
-def _turn(yaw: float) -> Float:
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+@numba.njit(cache=True, nogil=True)
+def _led_on(covariance, before, after, step):  # type: ignore[no-untyped-def]
+    """The covariance (3, 3) of a pose (3,) as that of the one after it, with what the step between them adds there."""
+    return carried(covariance, after[0] - before[0], after[1] - before[1]) + _rotated(step, after[2])

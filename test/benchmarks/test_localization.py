@@ -28,6 +28,7 @@ from benchmarks.random_poses import Floor, Search
 from g2_recon.geometry.recording import Recording
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.localization.beams import beams
 
 ANGLES = np.radians(np.arange(-90.0, 91.0))
 
@@ -85,14 +86,16 @@ def test_ellipses_of_the_right_size_hold_the_truth_in_95_of_100():
     stamps = np.arange(float(count))
     truth = Trajectory.from_se2(stamps, np.zeros((count, 3)))
     poses = rng.multivariate_normal(np.zeros(3), spread, count)
-    found = Live(stamps, np.zeros(count), poses, np.broadcast_to(spread, (count, 3, 3)), 0.0)
+    found = Live(stamps, np.zeros(count), 0.0, poses, np.broadcast_to(spread, (count, 3, 3)), 0.0)
     inside, sigma = ellipses(found, truth)
     assert inside == pytest.approx(0.95, abs=5 * math.sqrt(0.95 * 0.05 / count))
     assert sigma == pytest.approx(math.sqrt(np.linalg.eigvalsh(spread[:2, :2])[1]))
 
 
-def test_a_scan_is_laid_on_itself_in_spite_of_a_wrong_guess(recording):
-    found, believed = lay_pair(recording, DEFAULTS, 60, 60, np.array([0.1, -0.1, 0.3]))
+@pytest.mark.parametrize("trusted", [False, True])
+def test_a_scan_is_laid_on_itself_in_spite_of_a_wrong_guess(recording, trusted):
+    seen = beams(recording.scans[60], range_min=0.1, range_max=40.0)
+    found, believed = lay_pair(seen, seen, np.array([0.1, -0.1, 0.3]), trusted=trusted)
     assert believed
     assert np.abs(found).max() < 0.02  # m and rad, as the benchmark asks for
 

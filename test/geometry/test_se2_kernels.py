@@ -23,3 +23,14 @@ def test_the_kernels_wrap_as_se2_does(angle):
     wrapped = se2_kernels.wrap(angle)
     assert wrapped == se2.wrap_angle(angle)
     assert -np.pi <= wrapped < np.pi
+
+
+@pytest.mark.parametrize(
+    "matrix", [[[3, 1], [1, 2]], [[1, -2], [-2, 1]], [[5, 0], [0, 2]], [[2, 0], [0, 5]], [[0, 0], [0, 0]]]
+)
+def test_the_weakest_direction_is_that_of_the_least_eigenvalue(matrix):
+    matrix = np.array(matrix, float)
+    least, direction = se2_kernels.weakest(matrix)
+    assert least == pytest.approx(np.linalg.eigvalsh(matrix)[0])
+    assert np.linalg.norm(direction) == pytest.approx(1)
+    assert matrix @ direction == pytest.approx(least * direction)

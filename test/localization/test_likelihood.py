@@ -8,6 +8,7 @@ import pytest
 from scipy.ndimage import maximum_filter
 
 from g2_recon.geometry import se2
+from g2_recon.localization import beams as beam_kinds
 from g2_recon.localization import likelihood
 from g2_recon.localization.beams import beams
 
@@ -146,3 +147,18 @@ def test_where_nothing_fits_better_a_scan_slides_to_where_it_is_expected(scan_of
     found, contrast = likelihood.slide(nothing, b.points, b.kinds, POSE, np.array([1.0, 0.0]), *settings)
     assert found == pytest.approx(0.15, abs=1e-9)
     assert contrast == 0.0
+
+
+def test_far_apart_beams_on_a_wall_along_the_way_do_not_tell_how_far_one_is(scan_of_room):
+    b = seen(scan_of_room(POSE, beams=361))
+    direction = np.array([math.cos(0.3), math.sin(0.3)])
+    kinds = likelihood.telling(b.points, b.normals, b.kinds, b.increment, direction, 0.1, 0.5)
+    x, y = b.points.T.astype(float)
+    nx, ny = b.normals.T.astype(float)
+    apart = np.hypot(x, y) ** 2 * b.increment > 0.1 * np.abs(x * nx + y * ny)
+    bare = apart & (np.abs(b.normals @ direction) < 0.5)
+    assert (
+        kinds.tolist()
+        == np.where((b.kinds == beam_kinds.CORNER) | ((b.kinds == beam_kinds.SURFACE) & ~bare), b.kinds, 0).tolist()
+    )
+    assert 0 < np.count_nonzero(kinds) < np.count_nonzero(b.kinds)

@@ -173,7 +173,7 @@ def test_one_step_of_gauss_newton_takes_back_a_small_displacement(scan_of_room, 
     keyframes = keyframes_of([scan_of_room(pose, beams=361) for pose in poses], poses)
     truth = se2.relative(poses[0], poses[1])
     off = np.array([0.015, -0.01, 0.005])
-    hessian, gradient, inliers, viewed = pairing.pair(truth + off, 1, 0, *keyframes.arrays, 0.2, 0.1, CORNER)
+    hessian, gradient, inliers, viewed = pairing.pair(truth + off, 1, 0, *keyframes.arrays, 0.2, 0.1, CORNER, 1)
     reached = truth + off - np.linalg.solve(hessian, gradient)
     # Second order in a step of 2 cm and 0.3 deg, and the corners.
     assert np.hypot(*(reached - truth)[:2]) < 0.001
@@ -186,10 +186,10 @@ def test_many_pairs_are_each_what_one_pair_says(scan_of_room, keyframes_of, seve
     poses = np.array([se2.compose(POSE, part * MOVED) for part in range(4)])
     keyframes = keyframes_of([scan_of_room(pose) for pose in poses], poses)
     first, second = np.array([1, 2, 3, 3]), np.array([0, 0, 1, 2])
-    T_j_i, hessians, gradients, counts = several(poses, first, second, *keyframes.arrays, 0.2, 0.1, CORNER)
+    T_j_i, hessians, gradients, counts = several(poses, first, second, *keyframes.arrays, 0.2, 0.1, CORNER, 1)
     assert T_j_i == pytest.approx(se2.relative(poses[second], poses[first]), abs=1e-12)
     for m in range(4):
-        one = pairing.pair(T_j_i[m], first[m], second[m], *keyframes.arrays, 0.2, 0.1, CORNER)
+        one = pairing.pair(T_j_i[m], first[m], second[m], *keyframes.arrays, 0.2, 0.1, CORNER, 1)
         assert hessians[m].tolist() == one[0].tolist()
         assert gradients[m].tolist() == one[1].tolist()
         assert tuple(counts[m]) == one[2:]
