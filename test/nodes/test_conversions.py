@@ -22,7 +22,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
-from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece
 from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
@@ -208,6 +208,54 @@ def test_a_cloud_survives_its_message_as_float32(seen_from):
         np.testing.assert_array_equal(back.sensor, cloud.sensor.astype(np.float32))
     else:
         assert back.sensor is None
+
+
+@pytest.mark.parametrize("seen_from", [True, False])
+def test_the_piece_of_a_cloud_survives_its_message_beside_the_points(seen_from):
+    points = np.random.default_rng(0).normal(0, 10, (5, 3))
+    cloud, piece = Cloud(points, -points if seen_from else None), Piece(2**32 - 1, 2**31, 7)
+    message = through_the_wire(conversions.cloud_to_message(HEAD, cloud, piece))
+    assert conversions.piece_from_message(message) == piece
+    np.testing.assert_array_equal(conversions.cloud_from_message(message).points, points.astype(np.float32))
+
+
+def test_a_cloud_that_names_no_piece_is_of_none():
+    cloud = Cloud(np.ones((2, 3)))
+    assert conversions.piece_from_message(conversions.cloud_to_message(HEAD, cloud)) is None
+    message = conversions.cloud_to_message(HEAD, cloud, Piece(1, 2, 3))
+    # Somebody else's fields of that name.
+    message.fields[3].datatype = PointField.FLOAT32
+    assert conversions.piece_from_message(message) is None
+
+
+def test_a_cloud_of_several_pieces_is_refused():
+    one, other = (conversions.cloud_to_message(HEAD, Cloud(np.ones((1, 3))), Piece(1, k)) for k in (2, 3))
+    one.width, one.row_step = 2, 2 * one.row_step
+    one.data = one.data + other.data
+    with pytest.raises(InputError, match="several pieces"):
+        conversions.piece_from_message(one)
+
+
+def test_what_takes_points_back_survives_its_message():
+    message = through_the_wire(conversions.no_pieces_message(HEAD, 5))
+    assert conversions.piece_from_message(message) == Piece(5, ALL_PIECES)
+    assert len(conversions.usable_points(conversions.cloud_from_message(message))) == 0
+
+
+def test_a_path_survives_its_message():
+    trajectory = Trajectory.from_se2([1.5, 2.25, 1.7e9], [(0, 1, 2), (3, 4, -1), (5, 6, 0)])
+    back = conversions.trajectory_from_path(through_the_wire(conversions.path_message(HEAD, trajectory)))
+    np.testing.assert_array_equal(back.stamps, trajectory.stamps)
+    np.testing.assert_array_equal(back.positions, trajectory.positions)
+    np.testing.assert_allclose(back.quaternions, trajectory.quaternions, atol=1e-15)
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf, 1e7])
+def test_a_path_with_a_broken_pose_is_refused(broken):
+    message = conversions.path_message(HEAD, Trajectory.from_se2([1.0, 2.0], np.zeros((2, 3))))
+    message.poses[1].pose.position.z = broken
+    with pytest.raises(InputError, match="pose of the path"):
+        conversions.trajectory_from_path(message)
 
 
 def test_an_empty_cloud_survives_its_message():
