@@ -44,7 +44,7 @@ _ROUNDS = [(2.0, 0.5)] * 4 + [(1.5, 0.25)] * 4 + [(1.0, 0.12)] * 4 + [(1.0, 0.06
 _NEW_NORMALS = 4
 _FEWEST_OF_PATCH = 12
 # Errors of the trajectory are alike for so long.
-_ALIKE_S = 2.0
+_ALIKE_S, _PARTS = 3.0, 20
 # Surfaces that face up so near to the height of the robot's frame are the floor.
 _FLOOR_M, _FEWEST_OF_FLOOR, _FLOOR_SIGMA_M = 0.25, 200, 0.005
 # Cubes lie askew: where a wall is the border of two, noise would tell to which one a point belongs.
@@ -213,7 +213,9 @@ class _Problem:
         # How a point moves: with the laser, and turned about it, in the axes of the robot.
         along = np.einsum("ni,nij->nj", planes.normal[patch], rotations)
         expected = np.einsum("nji,nj->ni", rotations, planes.expected - laser)
-        J = _without_planes(np.hstack([along, np.cross(expected, along)]), planes, patch)
+        self._raw_J = np.hstack([along, np.cross(expected, along)])
+        self._patch, self._moves_of_planes = patch, _moves_of_planes(planes, patch)[0]
+        J = _without_planes(self._raw_J, planes, patch)
         self._rest = T, start
         self._J, self._residual, self._weight, self._times = J, planes.residual, planes.weight, beams.times[rows]
         used = max(float((planes.weight > 0).sum()), 1.0)
@@ -232,6 +234,9 @@ class _Problem:
         height = points[floor, 2]
         weight = 1 / (1 + (height / 0.05) ** 2) ** 2 / _RANGE_SIGMA_M**2
         self._J = np.concatenate([self._J, J])
+        self._raw_J = np.concatenate([self._raw_J, J])
+        self._moves_of_planes = np.concatenate([self._moves_of_planes, np.zeros((len(J), 3))])
+        self._patch = np.concatenate([self._patch, np.full(len(J), self._patch.max() + 1)])
         self._residual = np.concatenate([self._residual, height])
         self._weight = np.concatenate([self._weight, weight])
         self._times = np.concatenate([self._times, beams.times[rows[floor]]])
@@ -254,17 +259,32 @@ class _Problem:
         return np.asarray(_OBSERVED * (step - away + directions @ (directions.T @ away)))
 
     def covariance(self) -> Float:
-        """Covariance (6, 6) that holds though residuals of the same time err together (sandwich by blocks of time)."""
-        weight = self._weight / self._variance
+        """Covariance (6, 6) by the jackknife: how far the pose moves, planes and all, without parts of the drive.
+
+        Points of the same time err together, by the error of the trajectory, and so go together (delete-a-group
+        jackknife; Kott, "The delete-a-group jackknife", Journal of Official Statistics 17(4), 2001).
+        """
+        directions, _ = self._observed()
         block = ((self._times - self._times.min()) / _ALIKE_S).astype(np.int64)
-        scores = np.column_stack([np.bincount(block, weight * self._residual * column) for column in self._J.T])
-        directions, information = self._observed()
-        projected = scores * _OBSERVED @ directions / information
-        blocks = np.count_nonzero(np.bincount(block))
-        # In 6 parameters that many blocks are used up.
-        spread = directions @ (projected.T @ projected) @ directions.T * (blocks / max(blocks - 6, 1))
-        spread += _UNKNOWN**2 * (np.eye(6) - directions @ directions.T)
+        parts = min(_PARTS, int(block.max()) + 1)
+        J = self._raw_J * _OBSERVED @ directions
+        columns = np.column_stack([self._moves_of_planes, J, self._residual])
+        number = self._patch * parts + block % parts
+        moments = _sums(columns, columns, self._weight, number, (int(self._patch.max()) + 1) * parts)
+        moments = moments.reshape(-1, parts, *moments.shape[1:])
+        total = moments.sum(axis=1)
+        poses = np.array([_solution(total - moments[:, part]) for part in range(parts)])
+        off = (poses - poses.mean(axis=0)) @ directions.T
+        spread = off.T @ off * ((parts - 1) / parts) + _UNKNOWN**2 * (np.eye(6) - directions @ directions.T)
         return np.asarray(_OBSERVED[:, None] * spread * _OBSERVED + np.diag(_AT_BEST**2))
+
+
+def _solution(moments: Float) -> Float:
+    """The pose (P,) of least squares from moments (G, 4 + P, 4 + P) of planes, pose and residual of each patch."""
+    AA, AB = moments[:, :3, :3], moments[:, :3, 3:]
+    rest = moments[:, 3:, 3:] - AB.transpose(0, 2, 1) @ np.linalg.solve(AA + 1e-6 * np.eye(3), AB)
+    H = rest.sum(axis=0)
+    return np.asarray(-np.linalg.solve(H[:-1, :-1] + 1e-9 * np.eye(len(H) - 1), H[:-1, -1]))
 
 
 def _patches(points: Float, normals: Float, flat: NDArray[np.bool_], edge: float) -> tuple[Int, int]:
@@ -373,7 +393,7 @@ def _sums(left: Float, right: Float, weight: Float, patch: Int, count: int) -> F
 
 
 def _without_planes(J: Float, planes: _Planes, patch: Int) -> Float:
-    """J (N, 6) without what the planes can take up: their offsets and tilts are unknown, too."""
+    """J (N, P) without what the planes can take up: their offsets and tilts are unknown, too."""
     A, _ = _moves_of_planes(planes, patch)
     count = len(planes.center)
     AA, AJ = (_sums(A, columns, planes.weight, patch, count) for columns in (A, J))

@@ -19,7 +19,7 @@ HEIGHT = 2
 
 
 def calibrated(legs, truth, start, seed=0, **settings):
-    found = vertical_drive(ROOM, legs, truth, seed, every=26, **settings)
+    found = vertical_drive(ROOM, legs, truth, seed, **settings)
     return calibrate(found.scans, as_localized(found.trajectory, seed), start, RegistrationConfig())
 
 
@@ -49,7 +49,7 @@ def test_the_error_is_as_large_as_it_says(turning):
     score = np.delete(error(found.T_base_laser, truth) / found.sigma, HEIGHT)
     # Of five numbers, 4 sigma: once in 3000.
     assert np.abs(score).max() < 4
-    assert np.delete(found.sigma / NEAR, HEIGHT).max() < 0.5
+    assert np.delete(found.sigma / NEAR, HEIGHT).max() < 1
 
 
 def test_a_laser_that_sees_the_floor_knows_its_height():
