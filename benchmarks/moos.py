@@ -26,11 +26,14 @@ HEIGHT_M, SIDE_M = 0.75, 0.2
 _SCAN = re.compile(
     r" LMS_LASER_2D_(LEFT|RIGHT) .*?[, ]time=([\d.]+),angRes=([\d.]+).*?minAngle=([\d.]+).*?Range=\[\d+\]\{([^}]*)\}"
 )
-_POSE = re.compile(r" ODOMETRY_POSE .*?Pose=\[3x1\]\{([^}]*)\}.*?time=([\d.]+).*?Pitch=([-\d.]+),Roll=([-\d.]+)")
+_POSE = re.compile(r" ODOMETRY_POSE .*?Pose=\[3x1\]\{([^}]*)\}.*?time=([\d.]+)")
 
 
 def read_alog(path: Path) -> tuple[dict[str, list[Scan]], Trajectory]:
-    """Scans of the lasers "left" and "right", and T_odom_base by the wheels, on level ground; x forward, y left."""
+    """Scans of the lasers "left" and "right", and T_odom_base by the wheels, on level ground; x forward, y left.
+
+    The tilt that is in the log, too, is too unsteady to help.
+    """
     scans: dict[str, list[Scan]] = {"left": [], "right": []}
     stamps, poses = [], []
     with gzip.open(path, "rt", errors="replace") as lines:
