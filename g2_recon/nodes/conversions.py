@@ -24,6 +24,7 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import MapMetaData, Odometry, Path
 from nav_msgs.msg import OccupancyGrid as GridMessage
 from numpy.typing import ArrayLike, NDArray
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -202,9 +203,62 @@ def trajectory_from_path(message: Path) -> Trajectory:
             for stamp, at, turn in ((p.header.stamp, p.pose.position, p.pose.orientation) for p in message.poses)
         ]
     ).reshape(-1, 8)
+    return _checked_path(rows)
+
+
+def trajectory_from_serialized_path(data: bytes) -> tuple[str, Trajectory]:
+    """The frame and the trajectory of the bytes of a path message: making objects of thousands of poses takes too long.
+
+    Raises InputError as `pose_matrix` does.
+
+    Where the bytes are laid out otherwise than by a publisher that gives all poses one frame, the message is made.
+    """
+    rows = _rows_of_path(data)
+    if rows is None:
+        message = deserialize_message(data, Path)
+        return message.header.frame_id, trajectory_from_path(message)
+    length = int.from_bytes(data[12:16], "little")
+    return data[16 : 16 + length - 1].decode(errors="replace"), _checked_path(rows)
+
+
+def _rows_of_path(data: bytes) -> Float | None:
+    """Stamp, position and quaternion (N, 8) of the poses of a path in CDR (OMG, DDS-XTypes 1.3, section 7.4).
+
+    After four bytes that tell the byte order all is aligned to its size: the stamp, the length and the characters of
+    the frame, the number of poses, and for each a stamp, a frame and seven doubles. None where it is not just so.
+    """
+    body = data[4:]
+    if len(body) < 16 or data[:2] != b"\x00\x01":
+        return None
+    begin = 12 + int.from_bytes(body[8:12], "little")
+    begin += -begin % 4 + 4
+    count = int.from_bytes(body[begin - 4 : begin], "little")
+    length = int.from_bytes(body[begin + 8 : begin + 12], "little")
+    # The poses follow each other in the same way once the first of them ends where doubles do.
+    first = begin + 12 + length
+    first += -first % 8
+    step = 12 + length
+    step += -step % 8 + 56
+    if count == 0 or length > len(body) or len(body) < first + 56 + (count - 1) * step:
+        return None
+    heads: NDArray = np.ndarray(
+        (count - 1,), [("sec", "<i4"), ("nanosec", "<u4"), ("length", "<u4")], body, first + 56, (step,)
+    )
+    if not (heads["length"] == length).all():
+        return None
+    rows = np.empty((count, 8))
+    sec, nanosec = np.frombuffer(body, "<i4", 1, begin)[0], np.frombuffer(body, "<u4", 1, begin + 4)[0]
+    rows[0, 0] = float(sec) + 1e-9 * float(nanosec)
+    rows[1:, 0] = heads["sec"] + 1e-9 * heads["nanosec"]
+    rows[:, 1:] = np.ndarray((count, 7), "<f8", body, first, (step, 8))
+    return rows
+
+
+def _checked_path(rows: Float) -> Trajectory:
+    """The trajectory of stamps, positions and quaternions (N, 8). Raises InputError where a pose is unusable."""
     if not (np.abs(rows[:, 1:4]) <= FARTHEST_M).all():
         raise InputError(f"a pose of the path is not finite or farther than {FARTHEST_M:g} m from the origin")
-    trajectory = Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+    trajectory = Trajectory(rows[:, 0].copy(), rows[:, 1:4].copy(), rows[:, 4:].copy())
     trajectory.matrices()
     return trajectory
 

@@ -51,7 +51,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._renew_timer = self.create_timer(_RENEW_PERIOD_S, self._renew, clock=self.steady_clock)
         self._renew_timer.cancel()
         self.create_timer(_WATCH_PERIOD_S, self._watch_subscribers, clock=self.steady_clock)
-        self.create_subscription(Path, "trajectory", self._on_trajectory, LATCHED)
+        self.create_subscription(Path, "trajectory", self._on_trajectory, LATCHED, raw=True)
         self.create_subscription(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
         self.create_subscription(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
 
@@ -104,16 +104,17 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._registrar.add_scan(scan)
         self._publish_registered()
 
-    def _on_trajectory(self, message: Path) -> None:
+    def _on_trajectory(self, data: bytes) -> None:
         """An empty trajectory says that the localizer started a new map, so that the old poses no longer hold."""
         self.received["trajectory"] += 1
-        if not message.poses:
+        told = self.usable(conversions.trajectory_from_serialized_path, data, "trajectory")
+        if told is None:
+            return
+        frame, keyframes = told
+        if not len(keyframes):
             self._reset()
             return
-        if self._registrar is None or not self._in_map_frame(message.header.frame_id, "trajectory"):
-            return
-        keyframes = self.usable(conversions.trajectory_from_path, message, "trajectory")
-        if keyframes is None:
+        if self._registrar is None or not self._in_map_frame(frame, "trajectory"):
             return
         if self._registrar.follow(keyframes):
             self._renew_if_needed()

@@ -24,7 +24,7 @@ Float = NDArray[np.float64]
 # Poses are kept this long for scans that come late, as messages of two lasers overtake each other.
 _POSES_KEPT_S = 2.0
 # A piece has so many beams at most, so that it is quickly placed anew and handed on as one message.
-_MOST_BEAMS = 10_000
+_MOST_BEAMS = 3000
 # Of so many latest scans the stamps are known, to tell when one comes again.
 _STAMPS_KEPT = 10_000
 

@@ -250,6 +250,35 @@ def test_a_path_survives_its_message():
     np.testing.assert_allclose(back.quaternions, trajectory.quaternions, atol=1e-15)
 
 
+@pytest.mark.parametrize("count", [0, 1, 2, 50])
+@pytest.mark.parametrize("frame", ["", "map", "robot1/map", "a_map"])
+def test_the_bytes_of_a_path_are_read_as_the_message(count, frame):
+    planar = np.random.default_rng(0).normal(0, 5, (count, 3))
+    message = conversions.path_message(Header(frame_id=frame), Trajectory.from_se2(1.7e9 + np.arange(count), planar))
+    data = serialize_message(message)
+    read_frame, read = conversions.trajectory_from_serialized_path(data)
+    expected = conversions.trajectory_from_path(message)
+    assert read_frame == frame
+    np.testing.assert_array_equal(read.stamps, expected.stamps)
+    np.testing.assert_array_equal(read.positions, expected.positions)
+    np.testing.assert_array_equal(read.quaternions, expected.quaternions)
+    assert (conversions._rows_of_path(data) is None) == (count == 0)
+
+
+def test_a_path_whose_poses_have_frames_of_their_own_is_read_too():
+    message = conversions.path_message(Header(frame_id="map"), Trajectory.from_se2([1.0, 2.0, 3.0], np.eye(3)))
+    message.poses[1].header.frame_id = "another_frame"
+    _, read = conversions.trajectory_from_serialized_path(serialize_message(message))
+    np.testing.assert_array_equal(read.planar(), conversions.trajectory_from_path(message).planar())
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_that_are_no_path_are_not_read_as_one(data):
+    # What is no message at all, the middleware refuses.
+    rows = conversions._rows_of_path(b"\x00\x01\x00\x00" + data)
+    assert rows is None or 56 * len(rows) <= len(data)
+
+
 @pytest.mark.parametrize("broken", [math.nan, math.inf, 1e7])
 def test_a_path_with_a_broken_pose_is_refused(broken):
     message = conversions.path_message(HEAD, Trajectory.from_se2([1.0, 2.0], np.zeros((2, 3))))

@@ -269,8 +269,9 @@ def test_pieces_are_small_though_the_robot_stands_and_no_keyframe_comes():
         stage.add_pose(0.1 * step, moving(0))
         stage.add_scan(scan(0.1 * step, np.ones(181)))
     counts = Counter(registered.piece for registered in stage.take())
-    assert max(counts.values()) * 181 <= 10_000
-    assert len(counts) == 6
+    # 3000 beams.
+    assert max(counts.values()) == 16
+    assert len(counts) == 19
 
 
 def test_a_voxel_keeps_its_first_point():
