@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""All tables of docs/registration_benchmarks.md: how well stop-and-go sweeps are merged, and what is refused.
+"""All tables of docs/registration_benchmarks.md: stop-and-go sweeps, and what of them is refused; vertical scans.
 
 Usage: python benchmarks/registration.py [--data FOLDER] [--only TABLE ...] [--quick] [--out FOLDER]
 
 Writes registration_benchmarks.md and a JSON file a table to the folder. The page is put together from all tables that
-lie there, so that one can be made anew. Without --data, recorded sweeps are left out.
+lie there, so that one can be made anew. Without --data, recorded sweeps and scans are left out.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import report
 import simulated_sweeps as simulated
+import vertical_scans
 from numpy.typing import NDArray
 from report import Row, Table
 from simulated_sweeps import errors, off_by, stop, sweep
@@ -87,10 +88,11 @@ rooms are alike."""
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Where recordings are, None if there are none, and whether to do a few of each only."""
+    """Where recordings are, None if there are none, whether to do a few of each only, and where pictures go."""
 
     data: Path | None
     quick: bool
+    out: Path
 
     def some(self, count: int) -> range:
         """So many, or two."""
@@ -302,12 +304,23 @@ def matched(
     return match(prepare(sweep(rectangles, second, rng), config), fixed, guess, config)
 
 
+def alog_table(bench: Bench) -> Table | None:
+    """Two lasers to the sides, outdoors."""
+    return None if bench.data is None else vertical_scans.alog_table(bench.data, bench.out)
+
+
 TABLES: dict[str, Callable[[Bench], Table | None]] = {
     "room": room_table,
     "recordings": recordings_table,
     "ring": ring_table,
     "corridor": corridor_table,
     "rooms": rooms_table,
+    "beams": lambda bench: vertical_scans.beams_table(),
+    "whole": lambda bench: vertical_scans.whole_table(bench.quick),
+    "follow": lambda bench: vertical_scans.follow_table(),
+    "calibration": lambda bench: vertical_scans.calibration_table(bench.quick),
+    "sides": alog_table,
+    "speed": lambda bench: vertical_scans.speed_table(bench.quick),
 }
 
 HEAD = f"""\
@@ -317,17 +330,17 @@ Made by
 
     python benchmarks/registration.py --data FOLDER
 
-which takes some minutes; `--only TABLE` makes one of {", ".join(TABLES)} anew, `--quick` shows that all of
+which takes a quarter of an hour; `--only TABLE` makes one of {", ".join(TABLES)} anew, `--quick` shows that all of
 it runs. The result is in `out/benchmarks/`; this page is copied from there. FOLDER holds
-`sweeps/pcl_room/room_scan*.pcd` and `sweeps/3dtk/scan00*` (the sample scans of 3DTK); without `--data` they are left
-out.
+`sweeps/pcl_room/room_scan*.pcd`, `sweeps/3dtk/scan00*` (the sample scans of 3DTK) and `vertical/QuadTree_Alog.alog.gz`
+(of the New College data set); without `--data` they are left out.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Make the tables that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, help="folder with recorded sweeps")
+    parser.add_argument("--data", type=Path, help="folder with recorded sweeps and scans")
     parser.add_argument(
         "--only", nargs="+", choices=TABLES, default=list(TABLES), metavar="TABLE", help=", ".join(TABLES)
     )
@@ -337,7 +350,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     log.setLevel(logging.INFO)
     given.out.mkdir(parents=True, exist_ok=True)
-    bench = Bench(given.data, given.quick)
+    bench = Bench(given.data, given.quick, given.out)
     for name in given.only:
         table = TABLES[name](bench)
         if table is None:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from pydantic import BaseModel
 from rich.console import Console
 from rich.logging import RichHandler
@@ -27,6 +28,7 @@ from g2_recon.config import (
     LocalizationConfig,
     ReconstructionConfig,
     RecordingConfig,
+    RegistrationConfig,
     SimulationConfig,
     SweepConfig,
 )
@@ -34,6 +36,7 @@ from g2_recon.errors import ConfigError, G2ReconError, InputError
 from g2_recon.evaluation.relations import RelationsScore, read_relations, score_relations
 from g2_recon.evaluation.surface import SurfaceScore, score_surface
 from g2_recon.evaluation.trajectory_error import mean_position_error
+from g2_recon.geometry import se3
 from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.reconstruction.reconstructor import Reconstruction
 from g2_recon.recording.bags import BAG_ENDINGS, write_bag
@@ -46,6 +49,7 @@ from g2_recon.recording.sessions import write_session
 from g2_recon.recording.surfaces import read_true_surface, write_true_surface
 from g2_recon.recording.sweeps import SWEEP_ENDINGS, read_sweep
 from g2_recon.recording.trajectories import read_tum, write_tum
+from g2_recon.registration.calibration import AXES, Calibration
 from g2_recon.simulation.simulator import simulate
 from g2_recon.terminal import StageProgress, print_paths, print_table, stages
 
@@ -168,6 +172,52 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
     maps = {} if result.grid is None else {"map": grid}
     sessions = {} if options.session is None else {"session": options.session}
     print_paths({"trajectory": target, **maps, "floor plan": plan, **sessions}, console)
+
+
+def run_calibrate(options: argparse.Namespace, console: Console) -> None:
+    """Estimate the mounting pose of the vertical laser."""
+    settings = config.load(options.config) if options.config else G2ReconConfig()
+    settings = _overridden(settings, options)
+    target = options.output or Path(f"{_stem(options.recording)}_calibration.yaml")
+    session = Path(settings.localization.map).expanduser() if settings.localization.map else None
+    _check_files([target], inputs=[options.recording, options.config, session])
+    with stages(console) as progress:
+        recording = read_recording(options.recording, settings.recording, progress=progress)
+        found = pipeline.calibrate(recording, settings, progress=progress)
+        pose = [round(value, 6) for value in se3.to_xyz_rpy(found.T_base_laser).tolist()]
+        text = "\n".join(
+            [
+                f"# pose of the vertical laser, by g2-recon calibrate {options.recording.name}",
+                *(f"# not observed, as at the start: {text}" for text in found.unobserved),
+                "registration:",
+                f"  laser_pose: {pose}",
+                "",
+            ]
+        )
+        write_text(target, text)
+        progress("writing", 1, 1)
+    rows: dict[str, Any] = {
+        "laser_pose": " ".join(f"{value:.5f}" for value in pose),
+        "moved from the start": _metres_and_degrees(found.T_base_laser @ se3.inverse(found.start)),
+        **{f"sigma {axis}": said for axis, said in zip(AXES, _sigmas(found), strict=True)},
+        "thickness of surfaces": f"{100 * found.thickness:.2f} cm",
+        **{f"dropped: {reason}": count for reason, count in recording.drops.items()},
+    }
+    print_table("calibrated", rows, progress, console)
+    for said in found.unobserved:
+        console.print(f"not observed, as at the start: {said}")
+    print_paths({"settings for --config": target}, console)
+
+
+def _sigmas(found: Calibration) -> list[str]:
+    """Of each axis of the robot, along and about, in words."""
+    mm, degrees = 1000 * found.sigma[:3], np.degrees(found.sigma[3:])
+    return [f"{value:.1f} mm" for value in mm] + [f"{value:.3f} deg" for value in degrees]
+
+
+def _metres_and_degrees(T: np.ndarray) -> str:
+    turn = np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1.0, 1.0)))
+    return f"{100 * np.linalg.norm(T[:3, 3]):.2f} cm, {turn:.2f} deg"
 
 
 def run_merge(options: argparse.Namespace, console: Console) -> None:
@@ -474,6 +524,26 @@ def build_parser() -> argparse.ArgumentParser:
     _add_settings(localize, LocalizationConfig, "localization")
     _add_settings(localize, RecordingConfig, "recording")
 
+    calibrate = add(
+        "calibrate",
+        run_calibrate,
+        "how the vertical laser is mounted, from a drive",
+        "How the vertical laser is mounted, from a drive with turns: the planes that it sees must be planes. The start "
+        "is registration.laser_pose, or what the recording says; it may be off by 5 cm and 3 deg. Sigma is the "
+        "standard deviation along and about x (forward), y (left) and z (up) of the robot.",
+    )
+    calibrate.add_argument("recording", metavar="BAG", type=Path, help="a bag with a horizontal and a vertical laser")
+    calibrate.add_argument(
+        "-o", "--output", metavar="YAML", type=Path, help="settings for --config; default: NAME_calibration.yaml"
+    )
+    calibrate.add_argument("--config", metavar="FILE", type=Path, help="settings as YAML, as in a result's config.yaml")
+    for stage, model in (
+        ("recording", RecordingConfig),
+        ("localization", LocalizationConfig),
+        ("registration", RegistrationConfig),
+    ):
+        _add_settings(calibrate, model, stage, prefix=f"{stage}.")
+
     merge = add("merge", run_merge, "stop-and-go sweeps to one cloud, with the poses (TUM) of the sweeps beside it")
     merge.add_argument(
         "sweeps",
@@ -611,6 +681,7 @@ def _given(options: argparse.Namespace, stage: str) -> dict[str, Any]:
 
 
 def _overridden(settings: G2ReconConfig, options: argparse.Namespace) -> G2ReconConfig:
+    """The settings of a run, with those that were given on the command line."""
     stages_of_run = {
         name: _made(type(stage), stage.model_dump() | _given(options, name), options, prefix=f"{name}.")
         for name, stage in settings

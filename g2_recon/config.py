@@ -140,6 +140,29 @@ class RegistrationConfig(_Model):
         le=60,
     )
     max_gap: float = _setting(0.5, "poses farther apart in time are not interpolated between", "s", ge=0.001, le=60)
+    voxel: float = _setting(
+        0.0,
+        "the cloud keeps the first point in each cube of this edge; live: in each piece of it; 0: all points",
+        "m",
+        ge=0,
+        le=10,
+    )
+    correction_distance: float = _setting(
+        0.01,
+        "live: points are placed anew where the localizer has moved the way further than this ...",
+        "m",
+        ge=0,
+        le=1,
+    )
+    correction_angle: float = _setting(
+        round(math.radians(0.1), 4), "... or has turned it further than this since", "rad", ge=0, le=1
+    )
+    kept_scans: int = _setting(
+        300_000,
+        "live: scans kept to be placed anew, 1.5 kB each of 181 beams; the points of older ones stay where they are",
+        ge=0,
+        le=100_000_000,
+    )
 
     @model_validator(mode="after")
     def _check(self) -> RegistrationConfig:

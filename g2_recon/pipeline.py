@@ -37,6 +37,8 @@ from g2_recon.recording.occupancy_maps import write_map
 from g2_recon.recording.sessions import read_session, write_session
 from g2_recon.recording.sweeps import Sweep
 from g2_recon.recording.trajectories import write_tum
+from g2_recon.registration.calibration import Calibration
+from g2_recon.registration.calibration import calibrate as estimate_mounting_pose
 from g2_recon.registration.registrar import Registrar
 from g2_recon.registration.sweep_assembler import SweepAssembler
 from g2_recon.registration.sweep_merger import PlacedSweep, SweepMerger
@@ -186,12 +188,7 @@ def register(
 
     Raises InputError where not one of them can be placed.
     """
-    if not recording.scans_vertical:
-        raise InputError(
-            "the recording holds no scan of a vertical laser",
-            advice="name its topic with scan_vertical_topic, or use the command localize",
-        )
-    T_base_laser = mounting_pose("registration", settings.laser_pose, recording.T_base_laser_vertical)
+    T_base_laser = _vertical_laser(recording, settings)
     registrar = Registrar(settings, T_base_laser)
     # As on the robot: whatever was first is handed over first.
     arrivals = sorted(
@@ -220,6 +217,26 @@ def register(
             advice="check that the clocks of the two lasers agree, and registration.max_gap, min_range and max_range",
         )
     return Registration(cloud, len(clouds), registrar.drops)
+
+
+def calibrate(recording: Recording, settings: G2ReconConfig, *, progress: Progress = silent) -> Calibration:
+    """How the vertical laser is mounted, from a drive; the start is the setting, else what the recording says.
+
+    Raises InputError where there is no start, or too little to see.
+    """
+    start = _vertical_laser(recording, settings.registration)
+    trajectory = localize(recording, settings.localization, progress=progress).trajectory
+    return estimate_mounting_pose(recording.scans_vertical, trajectory, start, settings.registration, progress=progress)
+
+
+def _vertical_laser(recording: Recording, settings: RegistrationConfig) -> Float:
+    """T_base_laser (4, 4) of the vertical laser. Raises InputError where there is none, or its pose is not known."""
+    if not recording.scans_vertical:
+        raise InputError(
+            "the recording holds no scan of a vertical laser",
+            advice="name its topic with scan_vertical_topic, or use the command localize",
+        )
+    return mounting_pose("registration", settings.laser_pose, recording.T_base_laser_vertical)
 
 
 def merge(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from g2_recon.config import LocalizationConfig, ReconstructionConfig, SweepConfig
+from g2_recon.config import LocalizationConfig, ReconstructionConfig, RegistrationConfig, SweepConfig
 from g2_recon.evaluation.surface import score_surface
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import TrueSurface
@@ -17,12 +17,13 @@ from g2_recon.localization.methods import make_localizer
 from g2_recon.localization.occupancy import GridBuilder
 from g2_recon.reconstruction.reconstructor import reconstruct
 from g2_recon.registration.prepared_sweep import prepare
+from g2_recon.registration.registrar import Registrar
 
 
 def warm_up() -> None:
     """Run every kernel once on a few points; Numba keeps what it compiles on disk."""
     warm_up_localization()
-    warm_up_sweeps()
+    warm_up_registration()
     for with_sensor in (True, False):
         cloud = _corner_of_a_room(with_sensor=with_sensor)
         reconstruct(cloud, ReconstructionConfig())
@@ -39,8 +40,11 @@ def warm_up_localization() -> None:
         _drive_up_and_down(LocalizationConfig(method=method))
 
 
-def warm_up_sweeps() -> None:
-    """The same for the kernels of sweeps only."""
+def warm_up_registration() -> None:
+    """The same for the kernels of registration only."""
+    registrar = Registrar(RegistrationConfig(), np.eye(4))
+    registrar.add_pose(0.0, np.eye(4))
+    registrar.add_scan(Scan(0.0, np.ones(2, np.float32), 0.0, 1.0))
     sweep = prepare(np.random.default_rng(0).uniform(-2.0, 2.0, (1000, 3)), SweepConfig())
     sweep.seen_through(sweep.points, 0.1)
 

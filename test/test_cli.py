@@ -12,6 +12,7 @@ import pytest
 import simulated_sweeps
 import trimesh
 import yaml
+from simulated_sweeps import errors
 
 from g2_recon import config
 from g2_recon.cli import build_parser, bundled_recording, main
@@ -33,6 +34,7 @@ COMMANDS = [
     "demo",
     "run",
     "localize",
+    "calibrate",
     "merge",
     "reconstruct",
     "import",
@@ -123,6 +125,28 @@ def test_localize_goes_on_in_a_session_that_it_has_written(tmp_path, capsys):
     assert np.mean(off < 0.02) > 0.95
     assert main(["localize", recording, "-o", str(tmp_path / "c.tum"), *in_map, "--session", str(session)]) == 1
     assert "would replace what is read" in capsys.readouterr().err
+
+
+def test_calibrate_finds_the_vertical_laser_and_its_settings_work(tmp_path, capsys):
+    target = tmp_path / "robot.yaml"
+    # 3 deg and 5 cm from how it is mounted.
+    start = ["-0.02", "0.04", "0.6", "0.03", "-1.53", "0.02"]
+    recording = str(bundled_recording())
+    assert main(["calibrate", recording, "-o", str(target), "--registration.laser-pose", *start]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "sigma about y" in said
+    assert "not observed, as at the start: z, the height" in said
+    found = se3.from_xyz_rpy(config.load(target).registration.laser_pose)
+    true = read_recording(bundled_recording()).T_base_laser_vertical
+    # 1 cm, 0.3 deg; the height is that of the start.
+    assert found[:3, 3] == pytest.approx(true[:3, 3], abs=0.01)
+    assert errors(found, true)[1] < 0.3
+
+
+def test_calibrate_says_what_is_missing(tmp_path, capsys):
+    log = tmp_path / "empty.log"
+    log.write_text("FLASER 2 1.0 1.0 0 0 0 0 0 0 1.0 host 1.0\n")
+    assert "vertical laser" in refused(capsys, "calibrate", log)
 
 
 @needs(DATA / "carmen" / "aces.clf.bz2")

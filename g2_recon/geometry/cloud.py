@@ -43,6 +43,23 @@ class Cloud:
         return self.select(np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts]))
 
 
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Which part of a cloud that comes in pieces this is, each a number from 0 to 2^32 - 1.
+
+    source: who made it. number: which of its pieces. revision: points of a newer one replace all points of the piece,
+    those of the same one are added.
+    """
+
+    source: int
+    number: int
+    revision: int = 0
+
+
+ALL_PIECES = 2**32 - 1
+"""In place of the number of a piece: no point of the source is left, nor will any come."""
+
+
 def concatenate(clouds: Sequence[Cloud]) -> Cloud:
     """One cloud of several in the same frame; sensor positions are kept if all have them."""
     if not clouds:

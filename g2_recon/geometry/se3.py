@@ -47,6 +47,21 @@ def from_xyz_rpy(pose: ArrayLike) -> Float:
     return matrix
 
 
+def to_xyz_rpy(T_a_b: ArrayLike) -> Float:
+    """x, y, z in metres and roll, pitch, yaw in radians (6,) of a transform (4, 4), as from_xyz_rpy takes them.
+
+    Where the x axis points straight up or down, only the sum of roll and yaw is given, and yaw is 0.
+    """
+    matrix = np.asarray(T_a_b, float)
+    rotation = matrix[:3, :3]
+    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
+    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:
+        roll, yaw = np.arctan2(-rotation[1, 2], rotation[1, 1]), 0.0
+    else:
+        roll, yaw = np.arctan2(rotation[2, 1], rotation[2, 2]), np.arctan2(rotation[1, 0], rotation[0, 0])
+    return np.array([*matrix[:3, 3], roll, pitch, yaw])
+
+
 def from_quaternion(position: ArrayLike, quaternion: ArrayLike) -> Float:
     """Transforms (..., 4, 4) from positions (..., 3) and quaternions (..., 4), normalized here.
 

@@ -24,13 +24,14 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import MapMetaData, Odometry, Path
 from nav_msgs.msg import OccupancyGrid as GridMessage
 from numpy.typing import ArrayLike, NDArray
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
-from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece
 from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
@@ -41,6 +42,8 @@ Float = NDArray[np.float64]
 POINT_FIELDS = ("x", "y", "z")
 SENSOR_FIELDS = ("vx", "vy", "vz")
 """Where each point was seen from, as in the PLY files."""
+PIECE_FIELDS = ("source", "piece", "revision")
+"""Of a cloud that comes in pieces: uint32, the same for all points of a message; see geometry.cloud.Piece."""
 
 FARTHEST_M = 1e6
 """No robot is farther than this from the origin of its map; what says so is broken, and float32 would lose it."""
@@ -192,10 +195,72 @@ def path_message(head: Header, trajectory: Trajectory) -> Path:
     )
 
 
-def poses_from_path(message: Path) -> Iterator[tuple[float, Float]]:
-    """Stamps in seconds and transforms (4, 4). Raises InputError as `pose_matrix` does."""
-    for pose in message.poses:
-        yield stamp_seconds(pose.header.stamp), pose_matrix(pose.pose)
+def trajectory_from_path(message: Path) -> Trajectory:
+    """The trajectory of a message, each pose with its own stamp. Raises InputError as `pose_matrix` does."""
+    rows = np.array(
+        [
+            (stamp.sec + 1e-9 * stamp.nanosec, at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)
+            for stamp, at, turn in ((p.header.stamp, p.pose.position, p.pose.orientation) for p in message.poses)
+        ]
+    ).reshape(-1, 8)
+    return _checked_path(rows)
+
+
+def trajectory_from_serialized_path(data: bytes) -> tuple[str, Trajectory]:
+    """The frame and the trajectory of the bytes of a path message: making objects of thousands of poses takes too long.
+
+    Raises InputError as `pose_matrix` does.
+
+    Where the bytes are laid out otherwise than by a publisher that gives all poses one frame, the message is made.
+    """
+    rows = _rows_of_path(data)
+    if rows is None:
+        message = deserialize_message(data, Path)
+        return message.header.frame_id, trajectory_from_path(message)
+    length = int.from_bytes(data[12:16], "little")
+    return data[16 : 16 + length - 1].decode(errors="replace"), _checked_path(rows)
+
+
+def _rows_of_path(data: bytes) -> Float | None:
+    """Stamp, position and quaternion (N, 8) of the poses of a path in CDR (OMG, DDS-XTypes 1.3, section 7.4).
+
+    After four bytes that tell the byte order all is aligned to its size: the stamp, the length and the characters of
+    the frame, the number of poses, and for each a stamp, a frame and seven doubles. None where it is not just so.
+    """
+    body = data[4:]
+    if len(body) < 16 or data[:2] != b"\x00\x01":
+        return None
+    begin = 12 + int.from_bytes(body[8:12], "little")
+    begin += -begin % 4 + 4
+    count = int.from_bytes(body[begin - 4 : begin], "little")
+    length = int.from_bytes(body[begin + 8 : begin + 12], "little")
+    # The poses follow each other in the same way once the first of them ends where doubles do.
+    first = begin + 12 + length
+    first += -first % 8
+    step = 12 + length
+    step += -step % 8 + 56
+    if count == 0 or length > len(body) or len(body) < first + 56 + (count - 1) * step:
+        return None
+    heads: NDArray = np.ndarray(
+        (count - 1,), [("sec", "<i4"), ("nanosec", "<u4"), ("length", "<u4")], body, first + 56, (step,)
+    )
+    if not (heads["length"] == length).all():
+        return None
+    rows = np.empty((count, 8))
+    sec, nanosec = np.frombuffer(body, "<i4", 1, begin)[0], np.frombuffer(body, "<u4", 1, begin + 4)[0]
+    rows[0, 0] = float(sec) + 1e-9 * float(nanosec)
+    rows[1:, 0] = heads["sec"] + 1e-9 * heads["nanosec"]
+    rows[:, 1:] = np.ndarray((count, 7), "<f8", body, first, (step, 8))
+    return rows
+
+
+def _checked_path(rows: Float) -> Trajectory:
+    """The trajectory of stamps, positions and quaternions (N, 8). Raises InputError where a pose is unusable."""
+    if not (np.abs(rows[:, 1:4]) <= FARTHEST_M).all():
+        raise InputError(f"a pose of the path is not finite or farther than {FARTHEST_M:g} m from the origin")
+    trajectory = Trajectory(rows[:, 0].copy(), rows[:, 1:4].copy(), rows[:, 4:].copy())
+    trajectory.matrices()
+    return trajectory
 
 
 def cloud_from_message(message: PointCloud2) -> Cloud:
@@ -204,23 +269,26 @@ def cloud_from_message(message: PointCloud2) -> Cloud:
     Fields may have any order, type, padding and byte order; points that are not finite are kept as they are.
     Raises InputError where x, y or z is missing or the layout does not fit the data.
     """
-    height, width, step = message.height, message.width, message.point_step
-    fields = _fields(message)
-    # A single row needs no row step, and some drivers leave it at zero.
-    row_step = message.row_step if height > 1 else width * step
-    if width * height == 0:
-        rows = np.empty((0, 1), _layout(message, fields, POINT_FIELDS + SENSOR_FIELDS))
-    elif row_step < width * step or (height - 1) * row_step + width * step > len(message.data):
-        raise InputError(
-            f"a cloud of {height} x {width} points of {step} bytes, {row_step} bytes a row, "
-            f"does not fit its {len(message.data)} bytes of data",
-            where=f"frame {message.header.frame_id}",
-        )
-    else:
-        dtype = _layout(message, fields, POINT_FIELDS + SENSOR_FIELDS)
-        rows = np.ndarray((height, width), dtype, buffer=message.data, strides=(row_step, step))
+    fields = _fields(message, POINT_FIELDS + SENSOR_FIELDS)
+    if missing := [name for name in POINT_FIELDS if name not in fields]:
+        raise InputError(f"the cloud has no field {' '.join(missing)}", where=f"frame {message.header.frame_id}")
+    rows = _rows(message, fields)
     seen_from = all(name in fields for name in SENSOR_FIELDS)
     return Cloud(_columns(rows, POINT_FIELDS), _columns(rows, SENSOR_FIELDS) if seen_from else None)
+
+
+def piece_from_message(message: PointCloud2) -> Piece | None:
+    """Which piece the points of a cloud message belong to, None if it does not say so.
+
+    Raises InputError as `cloud_from_message` does, and where the points belong to several.
+    """
+    kinds = {field.name: field.datatype for field in message.fields}
+    if any(kinds.get(name) != PointField.UINT32 for name in PIECE_FIELDS) or message.width * message.height == 0:
+        return None
+    rows = _rows(message, _fields(message, PIECE_FIELDS))
+    if not all((rows[name] == rows[name].flat[0]).all() for name in PIECE_FIELDS):
+        raise InputError("the cloud has points of several pieces", where=f"frame {message.header.frame_id}")
+    return Piece(*(int(rows[name].flat[0]) for name in PIECE_FIELDS))
 
 
 def usable_points(cloud: Cloud) -> Cloud:
@@ -229,25 +297,36 @@ def usable_points(cloud: Cloud) -> Cloud:
     return cloud.select(np.asarray((np.abs(columns) <= FARTHEST_M).all(axis=1)))
 
 
-def cloud_to_message(head: Header, cloud: Cloud) -> PointCloud2:
-    """The message of a cloud: float32 x y z and, where known, vx vy vz, without padding."""
+def cloud_to_message(head: Header, cloud: Cloud, piece: Piece | None = None) -> PointCloud2:
+    """The message of a cloud: float32 x y z and, where known, vx vy vz, without padding; then uint32 of the piece."""
     columns = cloud.points if cloud.sensor is None else np.hstack([cloud.points, cloud.sensor])
-    names = POINT_FIELDS if cloud.sensor is None else POINT_FIELDS + SENSOR_FIELDS
+    names: tuple[str, ...] = POINT_FIELDS if cloud.sensor is None else POINT_FIELDS + SENSOR_FIELDS
+    kinds = [PointField.FLOAT32] * len(names)
+    values = columns.astype("<f4")
+    if piece is not None:
+        names, kinds = names + PIECE_FIELDS, kinds + [PointField.UINT32] * len(PIECE_FIELDS)
+        numbers = np.array([piece.source, piece.number, piece.revision], "<u4").view("<f4")
+        values = np.hstack([values, np.broadcast_to(numbers, (len(cloud), len(numbers)))])
     step = 4 * len(names)
     return PointCloud2(
         header=head,
         height=1,
         width=len(cloud),
         fields=[
-            PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
-            for index, name in enumerate(names)
+            PointField(name=name, offset=4 * index, datatype=kind, count=1)
+            for index, (name, kind) in enumerate(zip(names, kinds, strict=True))
         ],
         is_bigendian=False,
         point_step=step,
         row_step=step * len(cloud),
-        data=_array("B", columns.astype("<f4")),
+        data=_array("B", values),
         is_dense=bool(np.isfinite(columns).all()),
     )
+
+
+def no_pieces_message(head: Header, source: int) -> PointCloud2:
+    """What removes all points of a source; its one point is none, as a message without points could not say whose."""
+    return cloud_to_message(head, Cloud(np.full((1, 3), np.nan)), Piece(source, ALL_PIECES))
 
 
 def grid_message(head: Header, grid: OccupancyGrid) -> GridMessage:
@@ -315,13 +394,11 @@ def _pose(position: list[float], quaternion: list[float]) -> Pose:
     return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
-def _fields(message: PointCloud2) -> dict[str, PointField]:
-    """The fields that we read, by name. Raises InputError where one is missing, double or unreadable."""
+def _fields(message: PointCloud2, names: tuple[str, ...]) -> dict[str, PointField]:
+    """Fields by name, of those that are there. Raises InputError where one is double or unreadable."""
     where = f"frame {message.header.frame_id}"
-    known = [field for field in message.fields if field.name in POINT_FIELDS + SENSOR_FIELDS]
+    known = [field for field in message.fields if field.name in names]
     fields = {field.name: field for field in known}
-    if missing := [name for name in POINT_FIELDS if name not in fields]:
-        raise InputError(f"the cloud has no field {' '.join(missing)}", where=where)
     if len(fields) < len(known):
         raise InputError("the cloud has two fields of one name", where=where)
     for field in known:
@@ -335,17 +412,30 @@ def _fields(message: PointCloud2) -> dict[str, PointField]:
     return fields
 
 
-def _layout(message: PointCloud2, fields: dict[str, PointField], names: tuple[str, ...]) -> np.dtype:
-    order = ">" if message.is_bigendian else "<"
-    present = [name for name in names if name in fields]
-    return np.dtype(
+def _rows(message: PointCloud2, fields: dict[str, PointField]) -> NDArray:
+    """The points of a cloud message as records. Raises InputError where the layout does not fit the data."""
+    height, width, step = message.height, message.width, message.point_step
+    dtype = np.dtype(
         {
-            "names": present,
-            "formats": [order + _FIELD_TYPES[fields[name].datatype] for name in present],
-            "offsets": [fields[name].offset for name in present],
-            "itemsize": message.point_step,
+            "names": list(fields),
+            "formats": [
+                (">" if message.is_bigendian else "<") + _FIELD_TYPES[field.datatype] for field in fields.values()
+            ],
+            "offsets": [field.offset for field in fields.values()],
+            "itemsize": step,
         }
     )
+    if width * height == 0:
+        return np.empty((0, 1), dtype)
+    # A single row needs no row step, and some drivers leave it at zero.
+    row_step = message.row_step if height > 1 else width * step
+    if row_step < width * step or (height - 1) * row_step + width * step > len(message.data):
+        raise InputError(
+            f"a cloud of {height} x {width} points of {step} bytes, {row_step} bytes a row, "
+            f"does not fit its {len(message.data)} bytes of data",
+            where=f"frame {message.header.frame_id}",
+        )
+    return np.ndarray((height, width), dtype, buffer=message.data, strides=(row_step, step))
 
 
 def _columns(rows: NDArray, names: tuple[str, ...]) -> Float:

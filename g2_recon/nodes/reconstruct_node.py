@@ -16,6 +16,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece
 from g2_recon.nodes import conversions
 from g2_recon.nodes.parameters import ReconstructParameters
 from g2_recon.nodes.ros import LATCHED, reliable_qos, run
@@ -35,7 +36,6 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         """Raises ConfigError where a parameter is wrong."""
         super().__init__("reconstruct_node", ReconstructParameters)
         self._reconstructor = Reconstructor(self.settings)
-        self._points = 0
         self._newest_stamp = Time()
         self._result: Reconstruction | None = None
         self._collecting = Lock()
@@ -58,27 +58,28 @@ class ReconstructNode(StageNode[ReconstructParameters]):
 
     def figures(self) -> dict[str, object]:
         """See StageNode."""
-        return {"points": self._points, "reconstruction": self._stage or "idle"}
+        return {"points": len(self._reconstructor), "reconstruction": self._stage or "idle"}
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
         self.received[topic] += 1
-        if self.paused:
-            self.drops["cloud while paused"] += 1
-            return
         if message.header.frame_id != self.settings.map_frame:
             frames = f"it is in '{message.header.frame_id}', not '{self.settings.map_frame}'"
             self.drop("cloud in another frame", frames)
             return
-        received = self.usable(conversions.cloud_from_message, message, "cloud")
+        received = self.usable(_cloud_and_piece, message, "cloud")
         if received is None:
             return
-        cloud = conversions.usable_points(received)
-        if len(cloud) < len(received):
-            self.drops["point that is not finite or absurdly far away"] += len(received) - len(cloud)
+        cloud, piece = received
+        usable = conversions.usable_points(cloud)
+        if len(usable) < len(cloud) and not (piece is not None and piece.number == ALL_PIECES):
+            self.drops["point that is not finite or absurdly far away"] += len(cloud) - len(usable)
         with self._collecting:
-            self._reconstructor.add_cloud(cloud)
-            self._points += len(cloud)
-            self._newest_stamp = message.header.stamp
+            # What is placed anew is replaced also meanwhile: nobody will send it again.
+            refused = self._reconstructor.add_cloud(usable, piece, topic=topic, leave_out=self.paused)
+            if not refused:
+                self._newest_stamp = max(self._newest_stamp, message.header.stamp, key=conversions.stamp_seconds)
+        if refused:
+            self.drops["cloud while paused" if refused == "left out" else f"cloud {refused}"] += 1
 
     def _reconstruct(self) -> str:
         if not self._reconstructing.acquire(blocking=False):
@@ -124,12 +125,15 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         """Forget clouds and meshes; what is shown is cleared too."""
         with self._collecting:
             self._reconstructor.reset()
-            self._points = 0
         self._result = None
         head = conversions.header(self._newest_stamp, self.settings.map_frame)
         for publisher in (self._wire_mesh_publisher, self._mesh_publisher):
             publisher.publish(conversions.no_markers(head))
         return "forgot all points and meshes"
+
+
+def _cloud_and_piece(message: PointCloud2) -> tuple[Cloud, Piece | None]:
+    return conversions.cloud_from_message(message), conversions.piece_from_message(message)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -162,11 +162,17 @@ class LaserMount:
 class JumpDetector:
     """Tells when the stamps of a stream start again from an earlier time."""
 
-    def __init__(self) -> None:
-        self._newest = -np.inf
+    def __init__(self, ahead: float = np.inf) -> None:
+        """`ahead`: s; a stamp so far ahead of the newest one does not count until the next one says the same."""
+        self._ahead = ahead
+        self._doubtful = self._newest = -np.inf
 
     def jumped_back(self, stamp: float) -> bool:
         """Whether this stamp in seconds lies far before the newest one; the stamp is then the newest."""
+        if stamp > self._newest + self._ahead > -np.inf:
+            before, self._doubtful = self._doubtful, stamp
+            if abs(stamp - before) > _JUMP_S:
+                return False
         jumped = stamp < self._newest - _JUMP_S
         self._newest = stamp if jumped else max(self._newest, stamp)
         return bool(jumped)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
-from g2_recon.geometry.cloud import Cloud, concatenate
+from g2_recon.geometry.cloud import Cloud, Piece
 from g2_recon.progress import Progress, silent
+from g2_recon.reconstruction.collected_cloud import CollectedCloud
 from g2_recon.reconstruction.paper import reconstruct_as_published
 from g2_recon.reconstruction.result import Reconstruction
 from g2_recon.reconstruction.solid import reconstruct_solid
@@ -78,17 +79,18 @@ class Reconstructor:
 
     def __init__(self, config: ReconstructionConfig) -> None:
         self._config = config
-        self._clouds: list[Cloud] = []
+        self._collected = CollectedCloud()
 
-    def add_cloud(self, cloud: Cloud) -> None:
-        """Add points in the map frame."""
-        self._clouds.append(cloud)
+    def __len__(self) -> int:
+        return len(self._collected)
+
+    def add_cloud(self, cloud: Cloud, piece: Piece | None = None, *, topic: str = "", leave_out: bool = False) -> str:
+        """Add points in the map frame, or replace them; see CollectedCloud.add."""
+        return self._collected.add(cloud, piece, topic=topic, leave_out=leave_out)
 
     def cloud(self) -> Cloud:
         """All points so far."""
-        if len(self._clouds) > 1:
-            self._clouds = [concatenate(self._clouds)]
-        return self._clouds[0] if self._clouds else concatenate([])
+        return self._collected.cloud()
 
     def reconstruct(self, *, progress: Progress = silent) -> Reconstruction:
         """Reconstruct from all points so far; see the function of the same name."""
@@ -96,4 +98,4 @@ class Reconstructor:
 
     def reset(self) -> None:
         """Forget all points."""
-        self._clouds = []
+        self._collected.clear()

@@ -6,57 +6,94 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from g2_recon.config import RegistrationConfig
-from g2_recon.geometry import se3
-from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.trajectory import PoseBuffer
+from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.geometry.voxels import VoxelFilter
+from g2_recon.registration.corrected_trajectory import CorrectedTrajectory, Poses
+from g2_recon.registration.placing import place_beams
 
 Float = NDArray[np.float64]
 
-
 # Poses are kept this long for scans that come late, as messages of two lasers overtake each other.
 _POSES_KEPT_S = 2.0
+# A piece has so many beams at most, so that it is quickly placed anew and handed on as one message.
+_MOST_BEAMS = 3000
+# Of so many latest scans the stamps are known, to tell when one comes again.
+_STAMPS_KEPT = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class RegisteredScan:
-    """The points of one vertical scan in the map frame, each with the place of the laser when it was measured."""
+class RegisteredCloud:
+    """Points in the map frame, each with the place of the laser when it was measured.
+
+    stamp: of the scan in seconds; of the newest one where there are several. piece: that the points belong to.
+    revision: 0 for the points of one scan, as they come; above that: all points of the piece, in place of all before.
+    """
 
     stamp: float
     cloud: Cloud
+    piece: int = 0
+    revision: int = 0
+
+
+@dataclass(slots=True)
+class _Piece:
+    """Scans in a row that are placed anew together."""
+
+    scans: list[Scan] = field(default_factory=list)
+    beams: int = 0
+    first: float = np.inf
+    last: float = -np.inf
+    revision: int = 0
 
 
 class Registrar:
     """Places each beam of each vertical scan by the pose of the robot at the beam's own time.
 
     Scans and poses may come in any order. A scan waits until poses cover its last beam; `take` hands out what is done.
+
+    With `keep_scans` the cloud follows the localizer: `follow` tells where its keyframes are now, and `renew` hands out
+    anew, piece by piece, what has moved. A piece is the scans between two calls of `follow`, or fewer. It takes memory
+    for each scan, up to `kept_scans`, and 64 bytes for each pose.
     """
 
-    def __init__(self, config: RegistrationConfig, T_base_laser: ArrayLike) -> None:
-        """`T_base_laser`: (4, 4) mounting pose of the vertical laser."""
+    def __init__(self, config: RegistrationConfig, T_base_laser: ArrayLike, *, keep_scans: bool = False) -> None:
+        """`T_base_laser`: (4, 4) mounting pose of the vertical laser. keep_scans: to place them anew later."""
         self._config = config
-        self._T_base_laser = np.asarray(T_base_laser, float)
+        self._T_base_laser = np.array(T_base_laser, float)
+        self._keep_scans = keep_scans
         self.reset()
 
     def reset(self) -> None:
-        """Forget poses, waiting scans and counts."""
-        self._poses = PoseBuffer()
+        """Forget poses, scans and counts."""
+        self._trajectory = CorrectedTrajectory()
         # A heap by the time of the last beam; the count keeps scans of equal time in the order in which they came.
         self._waiting: list[tuple[float, int, Scan]] = []
         self._count = 0
-        self._newest_scan = -np.inf
-        self._done: list[RegisteredScan] = []
+        # A single stamp far ahead is a fault of a clock, and no reason to give up on others.
+        self._newest_scan = self._second_newest_scan = -np.inf
+        self._pose_ahead = np.nan
+        self._stamps: dict[float, None] = {}
+        self._done: list[RegisteredCloud] = []
         self._drops: Counter[str] = Counter()
+        # The number of a piece is its place in the order in which they were begun; the last one is still open.
+        self._pieces: dict[int, _Piece] = {}
+        self._open = 0
+        self._filter = self._new_filter()
+        self._to_renew: dict[int, None] = {}
+        self._kept = 0
+        self.released = 0
 
     @property
     def drops(self) -> dict[str, int]:
-        """How many scans were given up, by reason."""
+        """How many scans were given up and how many poses were not used, by reason."""
         return dict(self._drops)
 
     @property
@@ -64,52 +101,162 @@ class Registrar:
         """How many scans wait for a pose."""
         return len(self._waiting)
 
+    @property
+    def kept(self) -> int:
+        """How many scans are kept to be placed anew. Those before them, `released`, stay where they are."""
+        return self._kept
+
+    @property
+    def to_renew(self) -> int:
+        """How many pieces wait to be placed anew."""
+        return len(self._to_renew)
+
     def add_pose(self, stamp: float, T_map_base: ArrayLike) -> None:
         """Take note of the pose (4, 4) of the robot at a time in seconds; places the scans that waited for it."""
-        self._poses.add(stamp, T_map_base)
-        self._place_waiting()
+        if not (np.isfinite(stamp) and np.isfinite(T_map_base).all()):
+            self._drops["pose that is not finite"] += 1
+        elif self._is_far_ahead(stamp):
+            self._drops["pose far ahead of all others"] += 1
+        else:
+            if self._trajectory.add(stamp, T_map_base):
+                self._mark_moved()
+            self._place_waiting()
 
     def add_scan(self, scan: Scan) -> None:
         """Place a scan, now or when its poses have come."""
+        if scan.stamp in self._stamps:
+            self._drops["same stamp as a scan before"] += 1
+            return
+        self._stamps[scan.stamp] = None
+        if len(self._stamps) > _STAMPS_KEPT:
+            del self._stamps[next(iter(self._stamps))]
         heapq.heappush(self._waiting, (scan.last_stamp, self._count, scan))
         self._count += 1
+        self._second_newest_scan = max(self._second_newest_scan, min(self._newest_scan, scan.stamp))
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._place_waiting()
 
-    def take(self) -> list[RegisteredScan]:
+    def take(self) -> list[RegisteredCloud]:
         """The scans that were placed since the last call, in the order in which they were placed."""
         done, self._done = self._done, []
         return done
 
-    def finish(self) -> list[RegisteredScan]:
+    def finish(self) -> list[RegisteredCloud]:
         """What `take` returns, after giving up on scans that still wait: no more poses will come."""
         for _, _, scan in self._waiting:
-            self._drops["after the last pose" if scan.stamp > self._poses.last_stamp else "before the first pose"] += 1
+            late = scan.stamp > self._trajectory.last_stamp
+            self._drops["after the last pose" if late else "before the first pose"] += 1
         self._waiting = []
         return self.take()
 
+    def follow(self, keyframes: Trajectory) -> bool:
+        """Take note of where the localizer has its keyframes (T_map_base) now; `renew` then hands out what has moved.
+
+        False, and nothing is changed, where they are of another map than the poses: the registrar is to be reset.
+        Raises InputError where a pose is not finite or not a rotation.
+        """
+        if not self._trajectory.follow(keyframes):
+            return False
+        self._mark_moved()
+        return True
+
+    def renew_all(self) -> None:
+        """Have all pieces handed out anew, as for somebody who came late."""
+        self._begin_piece()
+        self._to_renew |= dict.fromkeys(self._pieces)
+
+    def renew(self) -> RegisteredCloud | None:
+        """The next piece that has moved, all of it, placed by what is known now; None where there is none."""
+        if not self._to_renew:
+            return None
+        number = next(iter(self._to_renew))
+        del self._to_renew[number]
+        piece = self._pieces[number]
+        piece.revision += 1
+        poses = self._trajectory.between(piece.first, piece.last)
+        clouds = [placed for scan in piece.scans if isinstance(placed := self._place(scan, poses), Cloud)]
+        cloud = self._thinned(concatenate(clouds), self._new_filter())
+        return RegisteredCloud(max(scan.stamp for scan in piece.scans), cloud, number, piece.revision)
+
+    def _mark_moved(self) -> None:
+        self._begin_piece()
+        stamps, far = self._trajectory.moved(self._config.correction_distance, self._config.correction_angle)
+        if not (far.any() and self._pieces):
+            return
+        spans = np.array([(piece.first, piece.last) for piece in self._pieces.values()])
+        keyframe = np.searchsorted(stamps, spans, side="right") - 1
+        # How many have moved before each; before the first keyframe nothing is moved.
+        moved = np.concatenate([[0, 0], np.cumsum(far)])
+        touched = moved[keyframe[:, 1] + 2] > moved[keyframe[:, 0] + 1]
+        self._to_renew |= dict.fromkeys(np.array(list(self._pieces))[touched].tolist())
+
+    def _is_far_ahead(self, stamp: float) -> bool:
+        """Whether a pose is that of a clock that jumped, until another one says the same."""
+        newest = max(self._trajectory.last_stamp, self._newest_scan)
+        if not len(self._trajectory) or stamp <= newest + self._config.max_wait:
+            return False
+        confirmed = abs(stamp - self._pose_ahead) <= self._config.max_gap
+        self._pose_ahead = stamp
+        return not confirmed
+
     def _place_waiting(self) -> None:
-        while self._waiting and self._waiting[0][0] <= self._poses.last_stamp:
-            self._place(heapq.heappop(self._waiting)[2])
-        while self._waiting and self._newest_scan - self._waiting[0][2].stamp > self._config.max_wait:
+        trajectory = self._trajectory
+        while self._waiting and self._waiting[0][0] <= trajectory.last_stamp:
+            self._register(heapq.heappop(self._waiting)[2])
+        while self._waiting and self._second_newest_scan - self._waiting[0][2].stamp > self._config.max_wait:
             heapq.heappop(self._waiting)
             self._drops[f"no pose came for {self._config.max_wait:g} s"] += 1
         oldest = self._waiting[0][2].stamp if self._waiting else np.inf
-        self._poses.drop_before(min(oldest, self._poses.last_stamp - _POSES_KEPT_S))
+        if self._keep_scans:
+            oldest = min([oldest, *(piece.first for piece in list(self._pieces.values())[:1])])
+        trajectory.drop_before(min(oldest, trajectory.last_stamp - _POSES_KEPT_S))
 
-    def _place(self, scan: Scan) -> None:
-        """Place one scan, or count why it cannot be placed."""
+    def _register(self, scan: Scan) -> None:
+        """Place a scan and hand it out, or count why it cannot be placed."""
+        first, last = sorted((scan.stamp, scan.stamp + scan.time_increment * (len(scan.ranges) - 1)))
+        placed = self._place(scan, self._trajectory.between(first, last))
+        if not isinstance(placed, Cloud):
+            self._drops[placed] += 1
+            return
+        if self._keep_scans:
+            self._keep(scan, first, last)
+        self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), self._open))
+
+    def _place(self, scan: Scan, poses: Poses) -> Cloud | str:
+        """The points of a scan, or why it cannot be placed."""
         in_laser, beams = scan.points(range_min=self._config.min_range, range_max=self._config.max_range)
-        T_map_base, known = self._poses.interpolate(
-            scan.stamp + scan.time_increment * beams, max_gap=self._config.max_gap
-        )
         if not len(beams):
-            self._drops["no beam in range"] += 1
-        elif scan.stamp < self._poses.first_stamp:
-            self._drops["before the first pose"] += 1
-        elif not known.all():
-            self._drops[f"no pose within {self._config.max_gap:g} s"] += 1
-        else:
-            T_map_laser = T_map_base @ self._T_base_laser
-            points = se3.transform_points(T_map_laser, np.column_stack([in_laser, np.zeros(len(in_laser))]))
-            self._done.append(RegisteredScan(scan.stamp, Cloud(points, T_map_laser[:, :3, 3].copy())))
+            return "no beam in range"
+        times = scan.stamp + scan.time_increment * beams
+        if times.min() < self._trajectory.first_stamp:
+            return "before the first pose"
+        points, sensor, known = place_beams(in_laser, times, *poses, self._T_base_laser, self._config.max_gap)
+        return Cloud(points, sensor) if known.all() else f"no pose within {self._config.max_gap:g} s"
+
+    def _keep(self, scan: Scan, first: float, last: float) -> None:
+        """Add a scan to the piece that is open; the oldest pieces are released where there are too many scans."""
+        if self._open in self._pieces and self._pieces[self._open].beams + len(scan.ranges) > _MOST_BEAMS:
+            self._begin_piece()
+        piece = self._pieces.setdefault(self._open, _Piece())
+        piece.scans.append(scan)
+        piece.beams += len(scan.ranges)
+        piece.first, piece.last = min(piece.first, first), max(piece.last, last)
+        self._kept += 1
+        while self._kept > self._config.kept_scans:
+            number = next(iter(self._pieces))
+            count = len(self._pieces.pop(number).scans)
+            self._to_renew.pop(number, None)
+            self._kept -= count
+            self.released += count
+
+    def _begin_piece(self) -> None:
+        if self._open in self._pieces:
+            self._open += 1
+            self._filter = self._new_filter()
+
+    def _new_filter(self) -> VoxelFilter | None:
+        return VoxelFilter(self._config.voxel) if self._config.voxel > 0 else None
+
+    @staticmethod
+    def _thinned(cloud: Cloud, voxels: VoxelFilter | None) -> Cloud:
+        return cloud if voxels is None else cloud.select(voxels.first(cloud.points))

@@ -2,12 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import gzip
+
+import moos
 import numpy as np
 import pytest
+import vertical_scans
+from simulated_drives import STRAIGHT_LEGS, mount, vertical_drive
 
 from benchmarks import registration
-from benchmarks.simulated_sweeps import errors, off_by, ring, stop, sweep, two_rooms
+from benchmarks.simulated_sweeps import errors, furnished_room, off_by, ring, stop, sweep, two_rooms
 from g2_recon.geometry import se3
+from g2_recon.geometry.cloud import Cloud
 
 
 def test_a_sweep_has_the_points_that_the_table_says() -> None:
@@ -37,9 +43,57 @@ def test_stops_in_two_rooms_do_not_see_each_other() -> None:
 
 
 def test_all_tables_that_need_no_recordings_are_made(tmp_path) -> None:
-    registration.main(["--quick", "--only", "ring", "corridor", "recordings", "--out", str(tmp_path)])
+    registration.main(["--quick", "--only", "ring", "corridor", "recordings", "beams", "sides", "--out", str(tmp_path)])
     page = (tmp_path / "registration_benchmarks.md").read_text()
     assert "## A ring of sweeps" in page
     assert "## A bare corridor" in page
     assert "Recorded" not in page
+    assert "## Vertical scans with the true trajectory" in page
     assert "good" not in page.split("## A bare corridor")[1].split("|---")[1]
+
+
+def test_the_beams_of_a_simulated_drive_meet_the_surface_where_they_should() -> None:
+    drive = vertical_drive(furnished_room(), STRAIGHT_LEGS, mount(), 0, every=75, range_noise=0.0, mixed_pixels=False)
+    clouds = vertical_scans.register(drive.scans, drive.trajectory, mount())
+    points = np.concatenate([cloud.points for _, cloud in clouds])
+    # The laser counts whole millimetres; what is nearer than 0.2 m is left out, and nothing is.
+    assert np.linalg.norm(points - drive.exact[-len(points) :], axis=1).max() < 0.001
+
+
+def test_points_are_measured_along_their_beams() -> None:
+    cloud = Cloud(np.array([[5.0, 7.1, 1.0], [5.0, 6.95, 1.0]]), np.array([[5.0, 3.0, 1.0]] * 2))
+    assert vertical_scans.along_the_beam(furnished_room(), cloud) == pytest.approx([0.1, -0.05])
+
+
+def test_a_plane_is_as_thick_as_its_noise() -> None:
+    rng = np.random.default_rng(0)
+    plane = np.column_stack([rng.uniform(-3, 3, (5000, 2)), rng.normal(0, 0.02, 5000)])
+    # Of a normal distribution without its farthest tenth, in sigma.
+    assert vertical_scans.thickness(plane) == pytest.approx(0.79 * 0.02, rel=0.05)
+
+
+ALOG = """\
+%% LOGSTART 1225719811.65
+61.85 LMS_LASER_2D_LEFT LMS1 ID=1,time=1225719873.50,angRes=0.50,minAngle=45.00,maxAngle=135.00,Range=[3]{1.5,-1.0,2.5}
+61.86 ODOMETRY_POSE iPlatform Pose=[3x1]{4.0,18.0,-0.5},Vel=[3x1]{-0.8,-0.8,-6.3},time=1225719873.51,Speed=1.1
+61.87 DESIRED_THRUST iJoystick 85.57
+"""
+
+
+def test_a_log_of_moos_is_read(tmp_path) -> None:
+    file = tmp_path / "some.alog.gz"
+    file.write_bytes(gzip.compress(ALOG.encode()))
+    scans, odometry = moos.read_alog(file)
+    (scan,) = scans["left"]
+    assert scan.stamp == 1225719873.50
+    assert scan.valid().tolist() == [True, False, True]
+    # 45 deg down, half a degree apart.
+    assert np.degrees(scan.angles()) == pytest.approx([-45.0, -44.5, -44.0])
+    assert odometry.planar()[0] == pytest.approx([4.0, 18.0, np.pi / 2 - 0.5])
+
+
+@pytest.mark.parametrize(("side", "y"), [("left", 1.0), ("right", -1.0)])
+def test_a_laser_looks_to_its_side_and_neither_is_mirrored(side, y) -> None:
+    T = moos.mounting_pose(side)
+    assert T[:3, 0] == pytest.approx([0, y, 0])
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)

@@ -61,3 +61,9 @@ def test_rounding_errors_of_a_rotation_go_and_what_is_no_rotation_is_refused():
     for wrong in (np.full((4, 4), np.nan), np.diag([1.0, 1, -1, 1]), 2 * np.eye(4), np.eye(3), 1e9 * np.ones((4, 4))):
         with pytest.raises(InputError, match="transform"):
             se3.orthonormal(wrong)
+
+
+@pytest.mark.parametrize("pitch", [0.3, -1.2, np.pi / 2, -np.pi / 2, -np.pi / 2 + 1e-6, 2.0])
+def test_a_transform_survives_its_angles(pitch):
+    matrix = se3.from_xyz_rpy([1, 2, 3, 0.4, pitch, -2.5])
+    assert se3.from_xyz_rpy(se3.to_xyz_rpy(matrix)) == pytest.approx(matrix, abs=1e-9)

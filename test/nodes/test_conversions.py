@@ -22,7 +22,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
-from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece
 from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
@@ -208,6 +208,83 @@ def test_a_cloud_survives_its_message_as_float32(seen_from):
         np.testing.assert_array_equal(back.sensor, cloud.sensor.astype(np.float32))
     else:
         assert back.sensor is None
+
+
+@pytest.mark.parametrize("seen_from", [True, False])
+def test_the_piece_of_a_cloud_survives_its_message_beside_the_points(seen_from):
+    points = np.random.default_rng(0).normal(0, 10, (5, 3))
+    cloud, piece = Cloud(points, -points if seen_from else None), Piece(2**32 - 1, 2**31, 7)
+    message = through_the_wire(conversions.cloud_to_message(HEAD, cloud, piece))
+    assert conversions.piece_from_message(message) == piece
+    np.testing.assert_array_equal(conversions.cloud_from_message(message).points, points.astype(np.float32))
+
+
+def test_a_cloud_that_names_no_piece_is_of_none():
+    cloud = Cloud(np.ones((2, 3)))
+    assert conversions.piece_from_message(conversions.cloud_to_message(HEAD, cloud)) is None
+    message = conversions.cloud_to_message(HEAD, cloud, Piece(1, 2, 3))
+    # Somebody else's fields of that name.
+    message.fields[3].datatype = PointField.FLOAT32
+    assert conversions.piece_from_message(message) is None
+
+
+def test_a_cloud_of_several_pieces_is_refused():
+    one, other = (conversions.cloud_to_message(HEAD, Cloud(np.ones((1, 3))), Piece(1, k)) for k in (2, 3))
+    one.width, one.row_step = 2, 2 * one.row_step
+    one.data = one.data + other.data
+    with pytest.raises(InputError, match="several pieces"):
+        conversions.piece_from_message(one)
+
+
+def test_what_takes_points_back_survives_its_message():
+    message = through_the_wire(conversions.no_pieces_message(HEAD, 5))
+    assert conversions.piece_from_message(message) == Piece(5, ALL_PIECES)
+    assert len(conversions.usable_points(conversions.cloud_from_message(message))) == 0
+
+
+def test_a_path_survives_its_message():
+    trajectory = Trajectory.from_se2([1.5, 2.25, 1.7e9], [(0, 1, 2), (3, 4, -1), (5, 6, 0)])
+    back = conversions.trajectory_from_path(through_the_wire(conversions.path_message(HEAD, trajectory)))
+    np.testing.assert_array_equal(back.stamps, trajectory.stamps)
+    np.testing.assert_array_equal(back.positions, trajectory.positions)
+    np.testing.assert_allclose(back.quaternions, trajectory.quaternions, atol=1e-15)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 50])
+@pytest.mark.parametrize("frame", ["", "map", "robot1/map", "a_map"])
+def test_the_bytes_of_a_path_are_read_as_the_message(count, frame):
+    planar = np.random.default_rng(0).normal(0, 5, (count, 3))
+    message = conversions.path_message(Header(frame_id=frame), Trajectory.from_se2(1.7e9 + np.arange(count), planar))
+    data = serialize_message(message)
+    read_frame, read = conversions.trajectory_from_serialized_path(data)
+    expected = conversions.trajectory_from_path(message)
+    assert read_frame == frame
+    np.testing.assert_array_equal(read.stamps, expected.stamps)
+    np.testing.assert_array_equal(read.positions, expected.positions)
+    np.testing.assert_array_equal(read.quaternions, expected.quaternions)
+    assert (conversions._rows_of_path(data) is None) == (count == 0)
+
+
+def test_a_path_whose_poses_have_frames_of_their_own_is_read_too():
+    message = conversions.path_message(Header(frame_id="map"), Trajectory.from_se2([1.0, 2.0, 3.0], np.eye(3)))
+    message.poses[1].header.frame_id = "another_frame"
+    _, read = conversions.trajectory_from_serialized_path(serialize_message(message))
+    np.testing.assert_array_equal(read.planar(), conversions.trajectory_from_path(message).planar())
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_that_are_no_path_are_not_read_as_one(data):
+    # What is no message at all, the middleware refuses.
+    rows = conversions._rows_of_path(b"\x00\x01\x00\x00" + data)
+    assert rows is None or 56 * len(rows) <= len(data)
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf, 1e7])
+def test_a_path_with_a_broken_pose_is_refused(broken):
+    message = conversions.path_message(HEAD, Trajectory.from_se2([1.0, 2.0], np.zeros((2, 3))))
+    message.poses[1].pose.position.z = broken
+    with pytest.raises(InputError, match="pose of the path"):
+        conversions.trajectory_from_path(message)
 
 
 def test_an_empty_cloud_survives_its_message():

@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.cloud import Cloud, Piece
 from g2_recon.nodes import conversions
 from g2_recon.nodes.reconstruct_node import ReconstructNode
 from g2_recon.nodes.ros import LATCHED
@@ -149,6 +149,38 @@ def test_clouds_of_several_robots_are_put_together(node):
     robot.send(wall(300), topic="robot1/cloud")
     robot.send(wall(200, seed=1), topic="robot2/cloud")
     robot.wait_for_points(500)
+
+
+def piece(cloud, *numbers):
+    return conversions.cloud_to_message(Header(), cloud, Piece(*numbers))
+
+
+def test_a_piece_that_is_placed_anew_leaves_nothing_of_the_old_place_in_cloud_and_mesh(node, tmp_path):
+    robot = node("-p", f"session_dir:={tmp_path}")
+    robot.send(piece(wall(300), 1, 0, 0))
+    robot.send(piece(wall(400, seed=1), 1, 1, 0))
+    robot.wait_for_points(700)
+    moved = Cloud(wall(300).points + (5.0, 0.0, 0.0), np.zeros((300, 3)))
+    robot.send(piece(moved, 1, 0, 1))
+    # The old place again, by a message that was overtaken.
+    robot.send(piece(wall(300), 1, 0, 0))
+    robot.send(piece(Cloud(moved.points + (0, 0.001, 0), moved.sensor), 1, 1, 1))
+    robot.wait_for_points(600)
+    assert value(robot.diagnostics, "dropped: cloud of an older revision") == "1"
+    assert reconstruct(robot).success
+    assert robot.call(Trigger, "reconstruct_node/save").success
+    assert read_cloud(tmp_path / "cloud.ply").points[:, 0].min() == pytest.approx(7.0)
+    assert read_mesh(tmp_path / "mesh.ply")[0][:, 0].min() > 6.5
+
+
+def test_points_that_their_source_takes_back_are_gone(node):
+    robot = node()
+    robot.send(piece(wall(300), 1, 0, 0))
+    robot.send(piece(wall(200, seed=1), 2, 0, 0))
+    robot.wait_for_points(500)
+    robot.send(conversions.no_pieces_message(Header(), 1))
+    robot.wait_for_points(200)
+    assert value(robot.diagnostics, "dropped: point that is not finite or absurdly far away") is None
 
 
 def test_save_writes_cloud_and_meshes(node, tmp_path):

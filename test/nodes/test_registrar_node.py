@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -16,6 +17,8 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from g2_recon.geometry.cloud import ALL_PIECES
+from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.nodes import conversions
 from g2_recon.nodes.registrar_node import RegistrarNode
 from g2_recon.nodes.ros import LATCHED
@@ -88,6 +91,7 @@ def test_a_scan_for_which_no_pose_comes_is_counted(drive):
     robot.pose(99.0)
     robot.scan(100.0)
     robot.scan(102.0)
+    robot.scan(102.1)
     robot.wait_until(lambda: value(robot.diagnostics, "dropped: scan, no pose came for 1 s") == "1")
 
 
@@ -95,6 +99,88 @@ def test_poses_in_another_frame_are_dropped_and_counted(drive):
     robot = drive()
     robot.pose(100.0, frame="odom")
     robot.wait_until(lambda: value(robot.diagnostics, "dropped: pose in another frame") == "1")
+
+
+def test_one_wrong_stamp_far_ahead_takes_nothing_back(drive):
+    robot = drive()
+    robot.pose(99.9)
+    robot.scan(100.0)
+    robot.pose(1e6)
+    robot.scan(1e6)
+    robot.pose(100.1)
+    robot.scan(100.2)
+    robot.pose(100.3)
+    robot.wait_until(lambda: len(robot.clouds) >= 2)
+    assert [conversions.piece_from_message(cloud).number for cloud in robot.clouds] == [0, 0]
+    robot.wait_until(lambda: value(robot.diagnostics, "dropped: pose far ahead of all others") == "1")
+
+
+def test_a_duplicate_scan_is_counted(drive):
+    robot = drive()
+    robot.pose(99.9)
+    robot.scan(100.0)
+    robot.scan(100.0)
+    robot.pose(100.1)
+    robot.wait_until(lambda: value(robot.diagnostics, "dropped: scan, same stamp as a scan before") == "1")
+    assert len(robot.clouds) == 1
+
+
+def trajectory(planar, stamps):
+    return conversions.path_message(Header(frame_id="map"), Trajectory.from_se2(stamps, planar))
+
+
+def drive_a_metre(robot):
+    """Keyframes at 100 and 101 s, at x = 0 and 1 m, and a scan between."""
+    robot.pose(100.0)
+    robot.scan(100.5)
+    robot.pose(100.5, (0.5, 0.0, 0.0))
+    robot.pose(101.0, (1.0, 0.0, 0.0))
+    robot.wait_until(lambda: robot.clouds)
+
+
+def test_points_are_published_anew_where_the_localizer_moved_the_way(drive):
+    robot = drive()
+    drive_a_metre(robot)
+    paths = robot.publisher(Path, "trajectory", LATCHED)
+    paths.publish(trajectory([(0, 0, 0), (1, 0, 0)], [100.0, 101.0]))
+    paths.publish(trajectory([(0, 5, 0), (1, 5, 0)], [100.0, 101.0]))
+    robot.wait_until(lambda: len(robot.clouds) == 2)
+    pieces = [conversions.piece_from_message(cloud) for cloud in robot.clouds]
+    assert pieces[1] == dataclasses.replace(pieces[0], revision=1)
+    sensor = conversions.cloud_from_message(robot.clouds[1]).sensor
+    np.testing.assert_allclose(sensor, np.broadcast_to((0.5, 5.0, 0.6), sensor.shape), atol=1e-5)
+
+
+def test_whoever_comes_late_gets_what_was_before(drive):
+    robot = drive()
+    drive_a_metre(robot)
+    late = robot.collect(PointCloud2, "cloud")
+    robot.wait_until(lambda: late)
+    before = conversions.cloud_from_message(robot.clouds[0])
+    np.testing.assert_array_equal(conversions.cloud_from_message(late[0]).points, before.points)
+    assert conversions.piece_from_message(late[0]).revision == 1
+
+
+def test_a_trajectory_of_another_map_takes_the_points_back(drive):
+    robot = drive()
+    drive_a_metre(robot)
+    paths = robot.publisher(Path, "trajectory", LATCHED)
+    paths.publish(trajectory([(0, 0, 0), (1, 0, 0)], [100.0, 101.0]))
+    robot.wait_until(lambda: value(robot.diagnostics, "received trajectory") == "1")
+    paths.publish(trajectory([(0, 0, 0)], [100.7]))
+    robot.wait_until(lambda: len(robot.clouds) == 2)
+    assert conversions.piece_from_message(robot.clouds[1]).number == ALL_PIECES
+
+
+@pytest.mark.parametrize("broken", [math.nan, 1e9])
+def test_a_broken_trajectory_is_counted_and_moves_nothing(drive, broken):
+    robot = drive()
+    drive_a_metre(robot)
+    message = trajectory([(0, 0, 0), (1, 0, 0)], [100.0, 101.0])
+    message.poses[1].pose.position.y = broken
+    robot.publisher(Path, "trajectory", LATCHED).publish(message)
+    robot.wait_until(lambda: value(robot.diagnostics, "dropped: unusable trajectory") == "1")
+    assert len(robot.clouds) == 1
 
 
 def test_an_empty_trajectory_makes_it_forget_the_poses_of_the_old_map(drive):
@@ -119,9 +205,12 @@ def test_a_recording_that_starts_again_is_registered_again(drive):
         robot.pose(99.9)
         robot.scan(100.0)
         robot.pose(100.1)
-        robot.pose(200.0)
+        robot.pose(110.0)
         robot.wait_until(lambda received=received: value(robot.diagnostics, "received pose") == str(received))
-    assert [conversions.stamp_seconds(cloud.header.stamp) for cloud in robot.clouds] == [100.0, 100.0]
+    pieces = [conversions.piece_from_message(cloud) for cloud in robot.clouds]
+    # What was published before is taken back.
+    assert [piece.number for piece in pieces] == [0, ALL_PIECES, 0]
+    assert pieces[0].source == pieces[1].source != pieces[2].source
 
 
 def test_without_the_pose_of_the_laser_diagnostics_say_what_to_do(drive):

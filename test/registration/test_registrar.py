@@ -1,11 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
+from collections import Counter
+
 import numpy as np
 import pytest
 
 from g2_recon.config import RegistrationConfig, SimulationConfig
 from g2_recon.geometry import se3
+from g2_recon.geometry.cloud import concatenate
 from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.registration.registrar import Registrar
 from g2_recon.simulation.simulator import simulate
 
@@ -13,7 +17,8 @@ UP = se3.from_xyz_rpy([0, 0, 0.5, 0, -np.pi / 2, 0])
 
 
 def scan(stamp, ranges=(1.0, 1.0, 1.0), time_increment=0.0):
-    return Scan(stamp, np.array(ranges, np.float32), -np.pi / 2, np.pi / 2, time_increment=time_increment)
+    spacing = np.pi / (len(ranges) - 1)
+    return Scan(stamp, np.array(ranges, np.float32), -np.pi / 2, spacing, time_increment=time_increment)
 
 
 def moving(x):
@@ -79,10 +84,67 @@ def test_a_scan_without_a_pose_is_dropped_and_counted_by_reason(stamp, reason):
 def test_a_scan_is_given_up_when_much_newer_ones_wait_too():
     stage = registrar(max_wait=1.0)
     stage.add_pose(0.0, moving(0))
-    for stamp in (0.5, 1.0, 1.6):
+    for stamp in (0.5, 1.0, 1.6, 1.7):
         stage.add_scan(scan(stamp))
     assert stage.drops == {"no pose came for 1 s": 1}
-    assert stage.waiting == 2
+    assert stage.waiting == 3
+
+
+def test_a_single_scan_far_ahead_makes_it_give_up_no_other():
+    stage = registrar(max_wait=1.0)
+    stage.add_pose(0.0, moving(0))
+    for stamp in (0.1, 1e6, 0.2):
+        stage.add_scan(scan(stamp))
+    stage.add_pose(0.3, moving(0))
+    assert [registered.stamp for registered in stage.take()] == [0.1, 0.2]
+    assert stage.drops == {}
+
+
+def test_a_scan_that_comes_again_is_counted_and_not_placed_twice():
+    stage = registrar()
+    stage.add_pose(0.0, moving(0))
+    stage.add_pose(0.2, moving(0))
+    for stamp in (0.1, 0.15, 0.1):
+        stage.add_scan(scan(stamp))
+    assert len(stage.take()) == 2
+    assert stage.drops == {"same stamp as a scan before": 1}
+
+
+def test_a_single_pose_far_ahead_is_not_used_and_two_are():
+    stage = registrar(max_wait=1.0)
+    stage.add_pose(0.0, moving(0))
+    stage.add_pose(1e6, moving(9))
+    stage.add_scan(scan(0.1))
+    stage.add_pose(0.2, moving(0))
+    assert [registered.stamp for registered in stage.take()] == [0.1]
+    assert stage.drops == {"pose far ahead of all others": 1}
+    # The robot stood in a lift for a while.
+    stage.add_pose(100.0, moving(1))
+    stage.add_pose(100.1, moving(1))
+    stage.add_pose(100.2, moving(1))
+    stage.add_scan(scan(100.15))
+    assert [registered.stamp for registered in stage.take()] == [100.15]
+
+
+@pytest.mark.parametrize(("stamp", "x"), [(0.1, np.nan), (0.1, np.inf), (np.nan, 1.0)])
+def test_a_pose_that_is_not_finite_is_counted(stamp, x):
+    stage = registrar()
+    stage.add_pose(0.0, moving(0))
+    stage.add_pose(stamp, moving(x))
+    stage.add_scan(scan(0.05))
+    stage.add_pose(0.2, moving(2))
+    (registered,) = stage.take()
+    assert registered.cloud.points[:, 0] == pytest.approx(0.5)
+    assert stage.drops == {"pose that is not finite": 1}
+
+
+def test_a_pose_that_comes_again_changes_nothing():
+    stage = registrar()
+    for _ in range(3):
+        stage.add_pose(0.0, moving(0))
+        stage.add_pose(0.2, moving(2))
+    stage.add_scan(scan(0.1))
+    assert stage.take()[0].cloud.points[:, 0] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("ranges", [(np.nan, np.inf, -np.inf), (0.0, 0.0, 0.0), (0.1, 99.0, -1.0)])
@@ -100,7 +162,137 @@ def test_memory_does_not_grow_with_time():
         stage.add_pose(index * 0.01, moving(0))
         stage.add_scan(scan(index * 0.01))
         stage.take()
-    assert len(stage._poses) < 300
+    # Twice what 2 s hold, as those before are forgotten together.
+    assert len(stage._trajectory) < 500
+
+
+def path(planar, stamps=None):
+    """Keyframes at x, y, yaw, one a second."""
+    planar = np.reshape(planar, (-1, 3))
+    return Trajectory.from_se2(np.arange(float(len(planar))) if stamps is None else stamps, planar)
+
+
+def driven(keyframes=4, **settings):
+    """A registrar that keeps scans: 1 m/s along x, ten poses and scans a second, a keyframe a second."""
+    stage = Registrar(RegistrationConfig(**settings), UP, keep_scans=True)
+    for step in range(10 * keyframes - 9):
+        stage.add_pose(0.1 * step, moving(0.1 * step))
+        stage.add_scan(scan(0.1 * step))
+        if step % 10 == 0:
+            assert stage.follow(path([(k, 0, 0) for k in range(step // 10 + 1)]))
+    return stage
+
+
+def collect(stage):
+    """What somebody has who takes in all that is handed out, piece by piece, and how much of it was anew."""
+    pieces, anew = {}, 0
+    for registered in stage.take():
+        pieces.setdefault(registered.piece, []).append(registered.cloud)
+    while (renewed := stage.renew()) is not None:
+        pieces[renewed.piece] = [renewed.cloud]
+        anew += 1
+    return concatenate([cloud for _, clouds in sorted(pieces.items()) for cloud in clouds]), anew
+
+
+def test_points_follow_the_keyframes_that_are_moved():
+    stage = driven()
+    assert stage.follow(path([(0, 0, 0), (1, 0, 0), (2, 1, 0), (3, 2, 0)]))
+    cloud, anew = collect(stage)
+    x = cloud.sensor[:, 0]
+    assert cloud.sensor[:, 1] == pytest.approx(np.maximum(x - 1, 0), abs=1e-9)
+    # Of four; the scan at keyframe 1 is in a piece with those before, and on the way that has moved.
+    assert anew == 3
+
+
+def test_what_is_not_moved_is_not_handed_out_anew():
+    stage = driven()
+    assert stage.follow(path([(k, 0, 0) for k in range(4)]))
+    assert stage.to_renew == 0
+
+
+@pytest.mark.parametrize(("y", "yaw", "anew"), [(0.009, 0, 0), (0.011, 0, 2), (0, 0.0016, 0), (0, 0.0018, 2)])
+def test_a_small_correction_waits_until_it_is_worth_it(y, yaw, anew):
+    stage = driven()
+    assert stage.follow(path([(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, y, yaw)]))
+    assert collect(stage)[1] == anew
+
+
+def test_small_corrections_that_add_up_are_made():
+    stage = driven()
+    for y in (0.004, 0.008, 0.012):
+        assert stage.follow(path([(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, y, 0)]))
+    assert collect(stage)[1] == 2
+
+
+def test_the_points_of_a_piece_handed_out_anew_are_all_its_points():
+    stage = driven()
+    whole = collect(driven())[0]
+    stage.renew_all()
+    cloud, anew = collect(stage)
+    assert anew == 4
+    assert np.array_equal(cloud.points, whole.points)
+
+
+def test_each_time_a_piece_has_a_newer_revision():
+    stage = driven()
+    revisions = []
+    for _ in range(3):
+        stage.renew_all()
+        revisions.append([renewed.revision for renewed in iter(stage.renew, None)])
+    assert revisions == [[1] * 4, [2] * 4, [3] * 4]
+
+
+def test_a_registrar_that_keeps_no_scans_has_nothing_to_hand_out_anew():
+    stage = registrar()
+    stage.add_pose(0.0, moving(0))
+    stage.add_scan(scan(0.0))
+    stage.renew_all()
+    assert stage.renew() is None
+
+
+def test_keyframes_of_another_map_are_told():
+    stage = driven()
+    assert not stage.follow(path([(0, 0, 0), (1, 0, 0)], stamps=[0.0, 1.5]))
+
+
+def test_the_oldest_scans_are_released_and_stay_where_they_are():
+    stage = driven(kept_scans=15)
+    assert stage.kept <= 15
+    assert stage.kept + stage.released == 31
+    assert stage.follow(path([(k, 1, 0) for k in range(4)]))
+    assert [round(renewed.stamp, 6) for renewed in iter(stage.renew, None)] == [3.0]
+
+
+def test_pieces_are_small_though_the_robot_stands_and_no_keyframe_comes():
+    stage = Registrar(RegistrationConfig(), UP, keep_scans=True)
+    for step in range(300):
+        stage.add_pose(0.1 * step, moving(0))
+        stage.add_scan(scan(0.1 * step, np.ones(181)))
+    counts = Counter(registered.piece for registered in stage.take())
+    # 3000 beams.
+    assert max(counts.values()) == 16
+    assert len(counts) == 19
+
+
+def test_a_voxel_keeps_its_first_point():
+    stage = registrar(voxel=0.5)
+    for step in range(11):
+        stage.add_pose(0.1 * step, moving(0.1 * step))
+        stage.add_scan(scan(0.1 * step))
+    points = concatenate([registered.cloud for registered in stage.take()]).points
+    # Three beams, and cubes that begin at 0, 0.5 and 1 m on the way.
+    assert sorted(set(points[:, 0].round(6))) == [0.0, 0.5, 1.0]
+    assert len(points) == 9
+
+
+def test_a_piece_placed_anew_is_thinned_anew():
+    stage = driven(voxel=0.5)
+    assert stage.follow(path([(k, 0.3, 0) for k in range(4)]))
+    cloud, _ = collect(stage)
+    cubes = np.floor(cloud.points / 0.5).astype(int)
+    # At the borders of pieces two may lie in one cube.
+    assert len(np.unique(cubes, axis=0)) >= len(cloud) - 3 * 3
+    assert cloud.sensor[:, 1] == pytest.approx(0.3)
 
 
 def test_after_a_reset_nothing_is_left():
