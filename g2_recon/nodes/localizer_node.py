@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path as FilePath
 from time import monotonic
 from typing import NamedTuple
@@ -31,6 +31,7 @@ from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.localization.resumed import ResumedLocalizer
+from g2_recon.localization.wheel_check import WheelCheck
 from g2_recon.nodes import conversions
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
@@ -48,6 +49,13 @@ _GRACE_S, _LONGEST_GRACE_S = 0.05, 1.0
 # Wall time a second for the occupancy grid, so that scans do not wait while a closed loop makes it count anew; it looks
 # at the time after so many keyframes.
 _GRID_S, _GRID_KEYFRAMES = 0.1, 16
+# So many of the last scans tell how well they match; what is wrong if fewer than this share do, or if more than this
+# share of the way contradicts the wheels.
+_LAST_SCANS, _FEWEST_SCANS = 200, 50
+_LEAST_MATCHED, _MOST_CONTRADICTION = 0.5, 0.5
+# Odometry that is so much older than the scans has stopped.
+_LATE_ODOMETRY_S = 2.0
+_UPRIGHT = math.radians(45)
 
 
 class _WaitingScan(NamedTuple):
@@ -76,6 +84,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._map_changed = False
         self._localized = 0
         self._latest: LocalizedScan | None = None
+        self._matched: deque[bool] = deque(maxlen=_LAST_SCANS)
+        self._wheel_check = WheelCheck()
         self._connect()
 
     def _connect(self) -> None:
@@ -89,14 +99,48 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self.offer_pause()
         self.create_timer(1.0, self._publish_maps, clock=self.steady_clock)
         self.create_timer(_GRACE_S, self._process_waiting, clock=self.steady_clock)
-        self.create_subscription(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, 1)
+        self.listen(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, reliable_qos(1))
         if self.settings.use_odometry:
-            self.create_subscription(Odometry, "odom", self._on_odometry, sensor_qos(depth))
-        self.create_subscription(LaserScan, "scan", self._on_scan, sensor_qos(depth))
+            self.listen(Odometry, "odom", self._on_odometry, sensor_qos(depth))
+        self.listen(LaserScan, "scan", self._on_scan, sensor_qos(depth))
 
     def waiting_for(self) -> str:
         """See StageNode."""
-        return self.not_received("scan") or self._mount.waiting_for or self._waiting_for_place()
+        return self.not_received("scan") or self._mount.waiting_for or self.stopped("scan") or self._waiting_for_place()
+
+    def doubts(self) -> Iterator[str]:
+        """See StageNode."""
+        if self._mount.tilt is not None and self._mount.tilt > _UPRIGHT:
+            yield (
+                f"the laser of `scan` stands upright, {math.degrees(self._mount.tilt):.0f} deg from level: exchange it "
+                "with that of `scan_vertical`, or correct its pose in `laser_pose` or TF"
+            )
+        if self.settings.use_odometry:
+            yield self._lack_of_odometry()
+        if self._wheel_check.contradiction > _MOST_CONTRADICTION:
+            yield (
+                f"scans and wheels contradict each other on {self._wheel_check.contradiction:.0%} of the last metres: "
+                "perhaps both lasers are swapped (`scan` has to be the horizontal one, `scan_vertical` the vertical "
+                "one), `laser_pose` is wrong, or `odom` is not of this robot"
+            )
+        elif len(self._matched) >= _FEWEST_SCANS and self._share_matched() < _LEAST_MATCHED:
+            yield (
+                f"only {self._share_matched():.0%} of the last scans match the map: perhaps `scan` is not that of the "
+                "horizontal laser, or `laser_pose`, `min_range` or `max_range` is wrong"
+            )
+
+    def _lack_of_odometry(self) -> str:
+        odom, scan = self.inputs["odom"], self.inputs["scan"]
+        if not odom.count:
+            return (
+                f"no odometry: {odom.lack()}; scans are matched without it; if there is none, set use_odometry to false"
+            )
+        if scan.newest_stamp - odom.newest_stamp > _LATE_ODOMETRY_S:
+            return f"no odometry since {odom.newest_stamp:.1f} s: `{odom.topic}` has stopped or comes late"
+        return ""
+
+    def _share_matched(self) -> float:
+        return sum(self._matched) / max(len(self._matched), 1)
 
     def _waiting_for_place(self) -> str:
         lost = isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)) and not self._localizer.is_placed
@@ -104,15 +148,19 @@ class LocalizerNode(StageNode[LocalizerParameters]):
 
     def figures(self) -> dict[str, object]:
         """See StageNode."""
+        localizer, latest = self._localizer, self._latest
         return {
             "localized scans": self._localized,
-            "scans that did not match the map": 0 if self._localizer is None else self._localizer.unmatched,
+            "scans that did not match the map": 0 if localizer is None else localizer.unmatched,
             "scans that wait for odometry": len(self._waiting),
-            "position is known least": "" if self._latest is None else _weak_axis(self._latest),
+            "beams that fit the map": "" if latest is None else f"{latest.inliers:.0%}",
+            "of the last scans match": f"{self._share_matched():.0%}" if self._matched else "",
+            "of the last metres contradict the wheels": f"{self._wheel_check.contradiction:.0%}",
+            "position is known least": "" if latest is None else _weak_axis(latest),
+            "loops closed": 0 if localizer is None else localizer.loops,
         }
 
     def _on_odometry(self, message: Odometry) -> None:
-        self.received["odom"] += 1
         odometry = self.usable(conversions.odometry_from_message, message, "odometry")
         if odometry is None:
             return
@@ -123,7 +171,6 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._process_waiting()
 
     def _on_scan(self, message: LaserScan) -> None:
-        self.received["scan"] += 1
         if self.paused:
             self.drops["scan while paused"] += 1
             return
@@ -166,6 +213,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         result = self._localizer.process(scan, odometry)
         self._localized += 1
         self._latest = result
+        self._matched.append(result.matched)
+        self._wheel_check.add(result.pose, odometry)
         if result.keyframe:
             self._grid.add(scan)
             self._map_changed = True
@@ -218,7 +267,6 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         return Cloud(np.column_stack([planar, np.zeros(len(planar))]))
 
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self.received["initialpose"] += 1
         frame = message.header.frame_id
         if frame not in ("", self.settings.map_frame):
             self.drop("initialpose in another frame", f"it is in {frame}, not {self.settings.map_frame}")
@@ -256,6 +304,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._waiting.clear()
         self._newest_scan = -np.inf
         self._map_changed = False
+        self._matched.clear()
+        self._wheel_check = WheelCheck()
         if self._localizer is not None:
             self._localizer.reset(*([] if start is None else [start]))
         self._empty_grid()

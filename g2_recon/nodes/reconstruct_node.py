@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from functools import partial
 from threading import Lock
 
 from builtin_interfaces.msg import Time
@@ -50,7 +49,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         self.offer_pause()
         for topic in self.settings.cloud_topics:
             qos = reliable_qos(self.settings.queue_depth)
-            self.create_subscription(PointCloud2, topic, partial(self._on_cloud, topic), qos)
+            self.listen(PointCloud2, topic, self._on_cloud, qos)
 
     def waiting_for(self) -> str:
         """See StageNode."""
@@ -60,8 +59,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         """See StageNode."""
         return {"points": self._points, "reconstruction": self._stage or "idle"}
 
-    def _on_cloud(self, topic: str, message: PointCloud2) -> None:
-        self.received[topic] += 1
+    def _on_cloud(self, message: PointCloud2) -> None:
         if self.paused:
             self.drops["cloud while paused"] += 1
             return

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path
@@ -18,6 +19,10 @@ from g2_recon.nodes.parameters import RegistrarParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode
 from g2_recon.registration.registrar import Registrar
+
+# A pose that is so much older than the scans is missing.
+_LATE_POSE_S = 1.0
+_LEVEL = math.radians(45)
 
 
 class RegistrarNode(StageNode[RegistrarParameters]):
@@ -35,13 +40,28 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         depth = self.settings.queue_depth
         self._cloud_publisher = self.create_publisher(PointCloud2, "cloud", reliable_qos(depth))
         self.offer_trigger("~/reset", self._reset)
-        self.create_subscription(Path, "trajectory", self._on_trajectory, LATCHED)
-        self.create_subscription(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
-        self.create_subscription(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
+        self.listen(Path, "trajectory", self._on_trajectory, LATCHED)
+        self.listen(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
+        self.listen(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
 
     def waiting_for(self) -> str:
         """See StageNode."""
-        return self.not_received("scan_vertical") or self._mount.waiting_for or self.not_received("pose")
+        lack = self.not_received("scan_vertical") or self._mount.waiting_for or self.not_received("pose")
+        return lack or self._late_pose() or self.stopped("scan_vertical")
+
+    def _late_pose(self) -> str:
+        scan, pose = self.inputs["scan_vertical"].newest_stamp, self.inputs["pose"].newest_stamp
+        if scan - pose < _LATE_POSE_S:
+            return ""
+        return f"no pose yet at {scan:.1f} s, the newest is of {pose:.1f} s: is the localizer paused, busy or gone?"
+
+    def doubts(self) -> Iterator[str]:
+        """See StageNode."""
+        if self._mount.tilt is not None and self._mount.tilt < _LEVEL:
+            yield (
+                f"the laser of `scan_vertical` lies level, tilted by {math.degrees(self._mount.tilt):.0f} deg only: "
+                "exchange it with that of `scan`, or correct its pose in `laser_pose` or TF"
+            )
 
     def figures(self) -> dict[str, object]:
         """See StageNode."""
@@ -52,7 +72,6 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         return values
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self.received["pose"] += 1
         if not self._in_map_frame(message.header.frame_id, "pose"):
             return
         T_map_base = self.usable(conversions.pose_matrix, message.pose.pose, "pose")
@@ -67,7 +86,6 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._publish_registered()
 
     def _on_scan(self, message: LaserScan) -> None:
-        self.received["scan_vertical"] += 1
         scan = self.usable(conversions.scan_from_message, message, "scan")
         if scan is None:
             return
@@ -86,7 +104,6 @@ class RegistrarNode(StageNode[RegistrarParameters]):
 
     def _on_trajectory(self, message: Path) -> None:
         """An empty trajectory says that the localizer started a new map, so that the old poses no longer hold."""
-        self.received["trajectory"] += 1
         if not message.poses:
             self._reset()
 
