@@ -231,7 +231,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
     def _publish_pose(self, result: LocalizedScan, stamp: Time, T_odom_base: NDArray[np.float64] | None) -> None:
         head = conversions.header(stamp, self.settings.map_frame)
         self._pose_publisher.publish(conversions.planar_pose_message(head, result.pose, result.covariance))
-        if T_odom_base is not None and not self._waiting_for_place():
+        if self.settings.publish_tf and T_odom_base is not None and not self._waiting_for_place():
             T_map_odom = se3.from_se2(result.pose) @ se3.inverse(T_odom_base)
             self._transforms.send(stamp, self.settings.map_frame, self.settings.odom_frame, T_map_odom)
 

@@ -63,6 +63,11 @@ class RegistrarNode(StageNode[RegistrarParameters]):
                 "exchange it with that of `scan`, or correct its pose in `laser_pose` or TF"
             )
 
+    def settings_changed(self) -> None:
+        """See StageNode."""
+        if self._registrar is not None:
+            self._registrar.configure(self.settings)
+
     def figures(self) -> dict[str, object]:
         """See StageNode."""
         values: dict[str, object] = {"registered scans": self._registered}

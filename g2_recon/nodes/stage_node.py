@@ -50,7 +50,9 @@ class StageNode(Node, Generic[Settings]):
     def __init__(self, name: str, model: type[Settings]) -> None:
         """Raises ConfigError where a parameter is wrong."""
         super().__init__(name)
-        self.settings = parameters.declare(self, model)
+        declared = parameters.declare(self, model)
+        self.settings = parameters.effective(declared)
+        parameters.follow(self, declared, self._take_settings)
         self.inputs: dict[str, Input] = {}
         self.drops: Counter[str] = Counter()
         self.paused = False
@@ -64,6 +66,9 @@ class StageNode(Node, Generic[Settings]):
     def waiting_for(self) -> str:
         """What the node lacks to go on, in words; empty while it goes on."""
         return ""
+
+    def settings_changed(self) -> None:
+        """Called when `settings` are new ones; only the live parameters can differ."""
 
     def doubts(self) -> Iterable[str]:
         """What is most likely wrong though the node goes on, in words that tell what to do."""
@@ -149,6 +154,10 @@ class StageNode(Node, Generic[Settings]):
 
         self.create_service(SetBool, "~/pause", answer)
 
+    def _take_settings(self, settings: Settings) -> None:
+        self.settings = parameters.effective(settings)
+        self.settings_changed()
+
     def _publish_diagnostics(self) -> None:
         for source in self.inputs.values():
             source.tick()
@@ -231,12 +240,20 @@ class LaserMount:
     def find(self, laser_frame: str) -> NDArray[np.float64] | None:
         """T_base_laser (4, 4), or None, said once, while it is not known."""
         if self._T_base_laser is None:
-            self._T_base_laser = self._transforms.look_up(self._base_frame, laser_frame)
+            self._T_base_laser = self._look_up(laser_frame)
         lack = f"no transform {self._base_frame} <- {laser_frame}: set `laser_pose` or publish it"
         self.waiting_for = lack if self._T_base_laser is None else ""
         if self.waiting_for:
             self._node.say_once("laser_pose", lack)
         return self._T_base_laser
+
+    def _look_up(self, laser_frame: str) -> NDArray[np.float64] | None:
+        """T_base_laser as TF has it; drivers leave out the prefix that other frames of the robot have."""
+        found = self._transforms.look_up(self._base_frame, laser_frame)
+        prefix = getattr(self._node.settings, "frame_prefix", "")
+        if found is None and prefix:
+            found = self._transforms.look_up(self._base_frame, prefix + laser_frame)
+        return found
 
 
 class JumpDetector:

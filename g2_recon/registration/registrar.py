@@ -54,6 +54,10 @@ class Registrar:
         self._done: list[RegisteredScan] = []
         self._drops: Counter[str] = Counter()
 
+    def configure(self, config: RegistrationConfig) -> None:
+        """Take other settings for the scans that are not placed yet."""
+        self._config = config
+
     @property
     def drops(self) -> dict[str, int]:
         """How many scans were given up, by reason."""

@@ -119,8 +119,8 @@ def test_missing_odometry_is_told(start, room_scan):
     robot.offer(Odometry, "/wheel_odom")
     robot.publisher(LaserScan, "scan").publish(room_scan(100.0))
     robot.wait_for(
-        "no odometry: waiting for `/odom`: no publisher; there is `/wheel_odom` with Odometry: remap with -r odom:=/wheel_odom; "
-        "scans are matched without it; if there is none, set use_odometry to false"
+        "no odometry: waiting for `/odom`: no publisher; there is `/wheel_odom` with Odometry: remap with "
+        "-r odom:=/wheel_odom; scans are matched without it; if there is none, set use_odometry to false"
     )
 
 
