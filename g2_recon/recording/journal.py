@@ -16,10 +16,12 @@ import fcntl
 import os
 import stat
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import NoReturn
+from uuid import uuid4
 from zlib import crc32
 
 from g2_recon.errors import JournalError
@@ -95,11 +97,18 @@ class Journal:
             self._refuse(error)
         return end, damaged
 
+    def keep_copy(self) -> None:
+        """Copy the journal beside, as before something in it is given up. Raises JournalError."""
+        try:
+            self._keep_beside(0, self._end)
+        except OSError as error:
+            self._refuse(error)
+
     def _keep_beside(self, begin: int, end: int) -> None:
-        beside = self.path.with_name(self.path.name + ".damaged")
-        with beside.open("wb") as copy:
+        names = (self.path.with_name(f"{self.path.name}.damaged{number or ''}") for number in count())
+        with next(name for name in names if not name.exists()).open("xb") as copy:
             os.lseek(self._file, begin, os.SEEK_SET)
-            while piece := os.read(self._file, min(1 << 20, end - copy.tell() - begin)):
+            while piece := os.read(self._file, min(1 << 20, end - begin - copy.tell())):
                 copy.write(piece)
 
     def records(self) -> Iterator[bytes]:
@@ -137,6 +146,30 @@ class Journal:
             os.fdatasync(self._file)
         except OSError as error:
             self._refuse(error)
+
+    def rewrite(self, payloads: Iterable[bytes]) -> None:
+        """Put these records in the place of all, at once: a killed writer leaves either. Raises JournalError.
+
+        That of `append`; the journal is then as it was before.
+        """
+        beside = self.path.with_name(f".{self.path.name}.{uuid4().hex[:8]}")
+        try:
+            new = Journal(beside)
+            try:
+                for payload in payloads:
+                    new.append(payload)
+                new.sync()
+                beside.replace(self.path)
+            except BaseException:
+                new.close()
+                raise
+        except OSError as error:
+            self._refuse(error)
+        finally:
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
+        os.close(self._file)
+        self._file, self._end, self.damaged = new._file, new._end, 0
 
     def clear(self) -> None:
         """Forget all records. Raises JournalError where the file system refuses."""

@@ -174,6 +174,33 @@ def test_a_cleared_journal_is_empty_and_can_be_gone_on_with(tmp_path):
     assert read(tmp_path / "a") == [b"new"]
 
 
+def test_all_records_are_rewritten_at_once(tmp_path):
+    write(tmp_path / "a")
+    journal = Journal(tmp_path / "a")
+    journal.rewrite([b"few"])
+    journal.append(b"more")
+    assert list(journal.records()) == [b"few", b"more"]
+    with pytest.raises(JournalError, match="in use by another process"):
+        Journal(tmp_path / "a")
+    journal.close()
+    assert read(tmp_path / "a") == [b"few", b"more"]
+    assert [file.name for file in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_rewriting_that_fails_changes_nothing(tmp_path):
+    write(tmp_path / "a")
+    journal = Journal(tmp_path / "a")
+
+    def fail():
+        yield b"few"
+        raise JournalError("no more")
+
+    with pytest.raises(JournalError, match="no more"):
+        journal.rewrite(fail())
+    assert list(journal.records()) == PAYLOADS
+    assert [file.name for file in tmp_path.iterdir()] == ["a"]
+
+
 def test_on_a_full_disk_the_error_says_so_and_all_before_is_there(tmp_path):
     """The limit on the size of a file tears a record as a full disk does."""
     path = tmp_path / "a"
