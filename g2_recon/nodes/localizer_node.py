@@ -24,6 +24,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.session import ScanPoses
 from g2_recon.geometry.trajectory import PoseBuffer
 from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.localized_scan import LocalizedScan
@@ -33,6 +34,7 @@ from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.localization.resumed import ResumedLocalizer
 from g2_recon.localization.wheel_check import WheelCheck
 from g2_recon.nodes import conversions
+from g2_recon.nodes.journals import LocalizerJournal
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode, session_folder
@@ -75,7 +77,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._localizer: AnyLocalizer | None = None
         self._grid: KeyframeGrid | None = None
         self._start: NDArray[np.float64] | None = None
-        self._session = read_session(FilePath(self.settings.map).expanduser()) if self.settings.map else None
+        self._loaded = read_session(FilePath(self.settings.map).expanduser()) if self.settings.map else None
+        self._session = self._loaded
         self._odometry = PoseBuffer()
         self._waiting: deque[_WaitingScan] = deque()
         self._jumps = JumpDetector()
@@ -86,7 +89,44 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._latest: LocalizedScan | None = None
         self._matched: deque[bool] = deque(maxlen=_LAST_SCANS)
         self._wheel_check = WheelCheck()
+        self._go_on()
         self._connect()
+
+    def _go_on(self) -> None:
+        """Take up the map and the way of a node that was killed, if there are some in the journal."""
+        folder = self.settings.session_dir
+        if self.settings.method == "paper" and folder:
+            self.get_logger().warning("method paper keeps no journal: after a crash it starts anew")
+            folder = ""
+        self._journal = LocalizerJournal(self, folder, "localizer.journal")
+        self._way = self._journal.scans
+        if self._way is not None:
+            # A recording that is replayed once more starts anew, as one that loops does.
+            self._jumps.jumped_back(float(self._way.stamps.max()))
+        if self.settings.mode == "mapping" and self._journal.session is not None:
+            self._session = self._journal.session
+            self.get_logger().info(f"going on in the map of the last time: {len(self._session)} keyframes")
+
+    def _start_localizer(self, T_base_laser: NDArray[np.float64]) -> None:
+        self._localizer = make_localizer(self.settings, T_base_laser, session=self._session)
+        if self._start is not None:
+            self._localizer.reset(self._start)
+        if self._way is not None and isinstance(self._localizer, Localizer):
+            self._take_up(self._localizer, self._way)
+        self._way = None
+        self._grid = KeyframeGrid(self.settings, T_base_laser)
+        self._empty_grid()
+
+    def _take_up(self, localizer: Localizer, way: ScanPoses) -> None:
+        """Go on with the way of the last time, near its end."""
+        try:
+            localizer.remember(way)
+        except InputError as error:
+            self.drop("way in the journal", str(error))
+            self._journal.clear()
+            return
+        if self._start is None and isinstance(localizer, (MapLocalizer, ResumedLocalizer)):
+            localizer.set_pose(localizer.trajectory().planar()[-1])
 
     def _connect(self) -> None:
         depth = self.settings.queue_depth
@@ -185,11 +225,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self.drops["scan of a laser with unknown pose"] += 1
             return
         if self._localizer is None:
-            self._localizer = make_localizer(self.settings, T_base_laser, session=self._session)
-            if self._start is not None:
-                self._localizer.reset(self._start)
-            self._grid = KeyframeGrid(self.settings, T_base_laser)
-            self._empty_grid()
+            self._start_localizer(T_base_laser)
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._waiting.append(_WaitingScan(scan, message.header.stamp, monotonic()))
         self._process_waiting()
@@ -218,6 +254,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         if result.keyframe:
             self._grid.add(scan)
             self._map_changed = True
+        if isinstance(self._localizer, Localizer):
+            self._journal.write(self._localizer)
         self._last_stamp = stamp
         self._publish_pose(result, stamp, T_odom_base)
 
@@ -306,6 +344,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._map_changed = False
         self._matched.clear()
         self._wheel_check = WheelCheck()
+        self._journal.clear()
+        self._way = None
+        if self._session is not self._loaded:
+            # What was taken up from the journal is forgotten, too.
+            self._session, self._localizer, self._grid = self._loaded, None, None
         if self._localizer is not None:
             self._localizer.reset(*([] if start is None else [start]))
         self._empty_grid()

@@ -66,7 +66,11 @@ def effective(settings: Model) -> Model:
 
 
 class _SessionModel(BaseModel):
-    session_dir: str = _parameter("", "folder that ~/save writes to; empty: ~/save says that it has none")
+    session_dir: str = _parameter(
+        "",
+        "folder that ~/save writes to, and of the journal of all that was accepted, from which a node goes on after a "
+        "crash; empty: neither",
+    )
 
 
 class LocalizerParameters(_SessionModel, _MapNodeModel, LocalizationConfig):

@@ -16,6 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from g2_recon.errors import InputError
 from g2_recon.nodes import conversions
+from g2_recon.nodes.journals import MessageJournal
 from g2_recon.nodes.parameters import ReconstructParameters
 from g2_recon.nodes.ros import LATCHED, reliable_qos, run
 from g2_recon.nodes.stage_node import StageNode, session_folder
@@ -47,6 +48,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         self.offer_trigger("~/save", self._save, group=beside)
         self.offer_trigger("~/reset", self._reset)
         self.offer_pause()
+        takers = {"cloud": (PointCloud2, self._on_cloud)}
+        self._journal = MessageJournal(self, self.settings.session_dir, "clouds.journal", takers)
+        self._journal.take_up()
         for topic in self.settings.cloud_topics:
             qos = reliable_qos(self.settings.queue_depth)
             self.listen(PointCloud2, topic, self._on_cloud, qos)
@@ -77,6 +81,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
             self._reconstructor.add_cloud(cloud)
             self._points += len(cloud)
             self._newest_stamp = message.header.stamp
+        self._journal.keep("cloud", message)
 
     def _reconstruct(self) -> str:
         if not self._reconstructing.acquire(blocking=False):
@@ -123,6 +128,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         with self._collecting:
             self._reconstructor.reset()
             self._points = 0
+        self._journal.clear()
         self._result = None
         head = conversions.header(self._newest_stamp, self.settings.map_frame)
         for publisher in (self._wire_mesh_publisher, self._mesh_publisher):

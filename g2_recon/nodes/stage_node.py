@@ -55,6 +55,7 @@ class StageNode(Node, Generic[Settings]):
         parameters.follow(self, declared, self._take_settings)
         self.inputs: dict[str, Input] = {}
         self.drops: Counter[str] = Counter()
+        self.faults: dict[str, str] = {}
         self.paused = False
         self._said: set[str] = set()
         self._lasting: Counter[str] = Counter()
@@ -97,6 +98,12 @@ class StageNode(Node, Generic[Settings]):
         """Count something that is not used; the first of each reason is also logged."""
         self.drops[reason] += 1
         self.say_once(reason, f"dropped: {reason}{': ' if detail else ''}{detail}; more such are only counted")
+
+    def fail(self, what: str, text: str) -> None:
+        """Say at once, and from now on in the diagnostics, that something does not work any more."""
+        if what not in self.faults:
+            self.get_logger().error(text)
+        self.faults[what] = text
 
     def usable(self, convert: Callable[[Message], Content], message: Message, what: str) -> Content | None:
         """What a conversion makes of a message, or None, counted, where that raises InputError."""
@@ -164,11 +171,12 @@ class StageNode(Node, Generic[Settings]):
         waiting = self.waiting_for()
         doubts = "; ".join(filter(None, [self._no_clock(), *([waiting] if waiting else self.doubts())]))
         self._log_what_lasts(doubts)
+        level = DiagnosticStatus.ERROR if self.faults else DiagnosticStatus.WARN if doubts else DiagnosticStatus.OK
         state = "paused" if self.paused else "waiting" if waiting else "running"
         status = DiagnosticStatus(
             name=self.get_fully_qualified_name(),
-            level=DiagnosticStatus.WARN if doubts else DiagnosticStatus.OK,
-            message=doubts or state,
+            level=level,
+            message="; ".join(filter(None, [*self.faults.values(), doubts])) or state,
         )
         values: dict[str, object] = {"state": state}
         for source in self.inputs.values():

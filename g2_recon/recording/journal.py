@@ -172,12 +172,17 @@ class Journal:
         self._file, self._end, self.damaged = new._file, new._end, 0
 
     def clear(self) -> None:
-        """Forget all records. Raises JournalError where the file system refuses."""
+        """Begin anew; what there was is kept beside, in a file of the same name with the ending `.before`.
+
+        Raises JournalError where the file system refuses.
+        """
         try:
-            os.ftruncate(self._file, len(_MAGIC))
+            self.path.replace(self.path.with_name(self.path.name + ".before"))
         except OSError as error:
             self._refuse(error)
-        self._end = len(_MAGIC)
+        self.close()
+        self._file = self._open()
+        self._end, self.damaged = self._check()
 
     def close(self) -> None:
         """Close the file, so that another process may open it."""

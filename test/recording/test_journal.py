@@ -164,7 +164,7 @@ def test_only_one_process_has_a_journal_open(tmp_path):
     Journal(tmp_path / "a").close()
 
 
-def test_a_cleared_journal_is_empty_and_can_be_gone_on_with(tmp_path):
+def test_a_cleared_journal_is_empty_and_can_be_gone_on_with_and_what_was_in_it_is_kept(tmp_path):
     write(tmp_path / "a")
     journal = Journal(tmp_path / "a")
     journal.clear()
@@ -172,6 +172,7 @@ def test_a_cleared_journal_is_empty_and_can_be_gone_on_with(tmp_path):
     journal.sync()
     journal.close()
     assert read(tmp_path / "a") == [b"new"]
+    assert read(tmp_path / "a.before") == PAYLOADS
 
 
 def test_all_records_are_rewritten_at_once(tmp_path):
