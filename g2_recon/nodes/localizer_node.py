@@ -34,7 +34,7 @@ from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.localization.resumed import ResumedLocalizer
 from g2_recon.localization.wheel_check import WheelCheck
 from g2_recon.nodes import conversions
-from g2_recon.nodes.journals import LocalizerJournal
+from g2_recon.nodes.localizer_journal import LocalizerJournal
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode, session_folder
