@@ -143,12 +143,21 @@ class ScanPoses:
 
 
 @dataclass(frozen=True, slots=True)
+class LastScan:
+    """Where a session was left: stamp s, pose (3,) T_map_laser, odometry (3,) T_odom_base, NaN where unknown."""
+
+    stamp: float
+    pose: Float
+    odometry: Float
+
+
+@dataclass(frozen=True, slots=True)
 class SessionGrowth:
     """What a session has more than at an earlier time, when it had `first` keyframes.
 
     poses: (N, 3) of all keyframes as they are now; the other arrays as in Session, of the keyframes from `first` on.
     graph: local_maps, loops and loop_information as in Session, or None while they are in the making. scans: those
-    that have come since.
+    that have come since, of a robot that stands only the first. last: the latest of all.
     """
 
     first: int
@@ -164,6 +173,7 @@ class SessionGrowth:
     broken: NDArray[np.bool_]
     graph: tuple[Int, Int, Float] | None
     scans: ScanPoses
+    last: LastScan
 
 
 _ADVICE = "save it again"

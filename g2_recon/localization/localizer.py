@@ -17,7 +17,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.se2_kernels import compose, inverse_3x3, relative
-from g2_recon.geometry.session import ScanPoses, Session, SessionGrowth
+from g2_recon.geometry.session import LastScan, ScanPoses, Session, SessionGrowth
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
 from g2_recon.localization.beams import INVALID, SURFACE, Beams, beams
@@ -341,7 +341,22 @@ class Localizer:
                 np.array(self._owners[scans:], np.int64),
                 np.reshape(self._offsets[scans:], (-1, 3)),
             ),
+            last=LastScan(self._stamp, self._last.copy(), self._odometry.last),
         )
+
+    def go_on(self, session: Session, scans: ScanPoses, last: LastScan) -> None:
+        """Go on in a session as if nothing had happened since its last scan; after a crash, nothing has.
+
+        Raises InputError as `remember` does.
+        """
+        self.resume(session)
+        self.remember(scans)
+        # The wheels since the last keyframe are not known any more.
+        self._wheels_since = _UNKNOWN
+        self._last, self._stamp = last.pose.copy(), last.stamp
+        self._odometry.go_on(last.stamp, last.odometry)
+        self._tracker.segment = int(np.flatnonzero(session.broken).max(initial=0))
+        self._smoother.refill(session.wheel_steps, self._tracker.segment)
 
     def remember(self, scans: ScanPoses) -> None:
         """Take scans of an earlier session into the trajectory; they hang on the keyframes that there are now.

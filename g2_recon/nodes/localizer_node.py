@@ -24,7 +24,6 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.session import ScanPoses
 from g2_recon.geometry.trajectory import PoseBuffer
 from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.localized_scan import LocalizedScan
@@ -55,6 +54,8 @@ _GRID_S, _GRID_KEYFRAMES = 0.1, 16
 # share of the way contradicts the wheels.
 _LAST_SCANS, _FEWEST_SCANS = 200, 50
 _LEAST_MATCHED, _MOST_CONTRADICTION = 0.5, 0.5
+# A session whose last scan is not older than this was left by a crash: the robot has not been carried away since.
+_SOON_S = 60.0
 # Odometry that is so much older than the scans has stopped.
 _LATE_ODOMETRY_S = 2.0
 _UPRIGHT = math.radians(45)
@@ -89,44 +90,43 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._latest: LocalizedScan | None = None
         self._matched: deque[bool] = deque(maxlen=_LAST_SCANS)
         self._wheel_check = WheelCheck()
-        self._go_on()
+        self._journal = self._open_journal()
         self._connect()
 
-    def _go_on(self) -> None:
-        """Take up the map and the way of a node that was killed, if there are some in the journal."""
+    def _open_journal(self) -> LocalizerJournal:
+        """With what a node that was killed has left in it."""
         folder = self.settings.session_dir
         if self.settings.method == "paper" and folder:
             self.get_logger().warning("method paper keeps no journal: after a crash it starts anew")
             folder = ""
-        self._journal = LocalizerJournal(self, folder, "localizer.journal")
-        self._way = self._journal.scans
-        if self._way is not None:
+        journal = LocalizerJournal(self, folder, "localizer.journal")
+        if journal.last is not None:
             # A recording that is replayed once more starts anew, as one that loops does.
-            self._jumps.jumped_back(float(self._way.stamps.max()))
-        if self.settings.mode == "mapping" and self._journal.session is not None:
-            self._session = self._journal.session
-            self.get_logger().info(f"going on in the map of the last time: {len(self._session)} keyframes")
+            self._jumps.jumped_back(journal.last.stamp)
+        return journal
 
-    def _start_localizer(self, T_base_laser: NDArray[np.float64]) -> None:
-        self._localizer = make_localizer(self.settings, T_base_laser, session=self._session)
+    def _start_localizer(self, T_base_laser: NDArray[np.float64], stamp: float) -> None:
+        """With the first scan, at `stamp` s; where a session was left a moment ago, go on as if nothing had been."""
+        left, last = self._journal.session, self._journal.last
+        soon = False
+        if left is not None and last is not None and self.settings.mode == "mapping":
+            self._session = left
+            soon = self._start is None and stamp - last.stamp < _SOON_S
+            self.get_logger().info(f"going on in the map of the last time: {len(left)} keyframes")
+        self._localizer = make_localizer(self.settings, T_base_laser, session=None if soon else self._session)
         if self._start is not None:
             self._localizer.reset(self._start)
-        if self._way is not None and isinstance(self._localizer, Localizer):
-            self._take_up(self._localizer, self._way)
-        self._way = None
+        if isinstance(self._localizer, Localizer):
+            self._take_up(self._localizer)
         self._grid = KeyframeGrid(self.settings, T_base_laser)
         self._empty_grid()
 
-    def _take_up(self, localizer: Localizer, way: ScanPoses) -> None:
-        """Go on with the way of the last time, near its end."""
+    def _take_up(self, localizer: Localizer) -> None:
         try:
-            localizer.remember(way)
+            self._journal.take_up(localizer, near=self._start is None)
         except InputError as error:
-            self.drop("way in the journal", str(error))
+            self.drop("unusable journal", str(error))
             self._journal.clear()
-            return
-        if self._start is None and isinstance(localizer, (MapLocalizer, ResumedLocalizer)):
-            localizer.set_pose(localizer.trajectory().planar()[-1])
 
     def _connect(self) -> None:
         depth = self.settings.queue_depth
@@ -225,7 +225,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self.drops["scan of a laser with unknown pose"] += 1
             return
         if self._localizer is None:
-            self._start_localizer(T_base_laser)
+            self._start_localizer(T_base_laser, scan.stamp)
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._waiting.append(_WaitingScan(scan, message.header.stamp, monotonic()))
         self._process_waiting()
@@ -315,14 +315,14 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self.drop("unusable initialpose", str(error))
             return
         near = f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, yaw {pose[2]:.2f} rad"
-        if self._session is None:
-            self.get_logger().info(f"starting a new map at {near}")
-            self._reset(pose)
-        elif isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)):
+        if isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)):
             self.get_logger().info(f"looking for the place of the robot near {near}")
             self._localizer.set_pose(pose)
-        else:
+        elif self._localizer is None and self._loaded is not None:
             self._start = pose
+        else:
+            self.get_logger().info(f"starting a new map at {near}")
+            self._reset(pose)
 
     def _reset_on_request(self) -> str:
         self._reset(None)
@@ -345,7 +345,6 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._matched.clear()
         self._wheel_check = WheelCheck()
         self._journal.clear()
-        self._way = None
         if self._session is not self._loaded:
             # What was taken up from the journal is forgotten, too.
             self._session, self._localizer, self._grid = self._loaded, None, None

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
-from g2_recon.geometry.session import FARTHEST_M, ScanPoses, Session, SessionGrowth
+from g2_recon.geometry.session import FARTHEST_M, LastScan, ScanPoses, Session, SessionGrowth
 from g2_recon.recording.journal import Journal
 from g2_recon.recording.npz import Layout
 from g2_recon.recording.records import pack, unpack
@@ -19,7 +19,7 @@ from g2_recon.recording.sessions import MOST_BYTES
 
 Arrays = dict[str, NDArray[Any]]
 
-_KEYFRAMES, _POSES, _GRAPH, _SCANS = 1, 2, 3, 4
+_KEYFRAMES, _POSES, _GRAPH, _SCANS, _LAST = 1, 2, 3, 4, 5
 _OF_KEYFRAMES: Layout = {
     "stamps": ("<f8", ("K",)),
     "poses": ("<f8", ("K", 3)),
@@ -41,18 +41,23 @@ _LAYOUTS: dict[int, Layout] = {
         "loop_information": ("<f8", ("L", 3, 3)),
     },
     _SCANS: {"stamps": ("<f8", ("S",)), "owners": ("<i8", ("S",)), "offsets": ("<f8", ("S", 3))},
+    _LAST: {"stamp": ("<f8", (1,)), "pose": ("<f8", (3,)), "odometry": ("<f8", (3,))},
 }
 _OF_BEAMS = ("points", "normals", "kinds")
 _BYTES_A_BEAM = 17
 # So many keyframes are in one record at most.
 _TOGETHER = 1000
+# While the robot stands, its scan is noted so often, s.
+_STANDING_S = 1.0
 
 
 class SessionJournal:
     """Writes what is new in a session, and only that; reads what there is when it is opened."""
 
     def __init__(self, journal: Journal) -> None:
-        """Read a journal. `session` is None where it has no keyframe, `left_out` how many records were unusable.
+        """Read a journal: `session` is None where it has no keyframe, `last` where it has no scan.
+
+        left_out: how many records were unusable.
 
         Raises JournalError as a Journal does, and InputError where records that fit each other are no session.
         """
@@ -70,15 +75,23 @@ class SessionJournal:
                 self.left_out += 1
         self.session = found.session()
         self.scans = found.scan_poses()
-        self._begin()
-
-    def _begin(self) -> None:
-        """Put few records in the place of many, so that starts do not take longer and longer."""
+        self.last = found.last
         if self.left_out:
             self._journal.keep_copy()
+        self._rewrite()
+
+    def begin(self, session: Session) -> None:
+        """Begin anew in a map that there is already. Raises JournalError."""
+        self.clear()
+        self.session = session
+        self._rewrite()
+
+    def _rewrite(self) -> None:
+        """Put few records in the place of many, so that starts do not take longer and longer."""
         self._poses = np.empty((0, 3)) if self.session is None else self.session.poses.copy()
         self._scan_count = len(self.scans)
-        self._journal.rewrite(_records_of(self.session, self.scans))
+        self._noted = -np.inf
+        self._journal.rewrite(_records_of(self.session, self.scans, self.last))
 
     @property
     def keyframes(self) -> int:
@@ -91,15 +104,14 @@ class SessionJournal:
         return self._scan_count
 
     def write(self, growth: SessionGrowth) -> None:
-        """Append what has come since there were `keyframes` and `scan_count`. Raises JournalError.
-
-        Of a growth that begins at other keyframes, as in a map that stays as it is, only the scans are written.
-        """
-        if growth.first == len(self._poses):
-            self._write_keyframes(growth)
+        """Append what has come since there were `keyframes` and `scan_count`. Raises JournalError."""
+        self._write_keyframes(growth)
         if len(growth.scans):
             self._journal.append(_scan_record(growth.scans))
         self._scan_count += len(growth.scans)
+        if len(growth.scans) or growth.last.stamp >= self._noted + _STANDING_S:
+            self._journal.append(_last_record(growth.last))
+            self._noted = growth.last.stamp
 
     def _write_keyframes(self, growth: SessionGrowth) -> None:
         known = self._poses
@@ -119,8 +131,8 @@ class SessionJournal:
     def clear(self) -> None:
         """Forget all, for a new map. Raises JournalError."""
         self._journal.clear()
-        self.session, self.scans = None, _NO_SCANS
-        self._poses, self._scan_count = np.empty((0, 3)), 0
+        self.session, self.scans, self.last = None, _NO_SCANS, None
+        self._poses, self._scan_count, self._noted = np.empty((0, 3)), 0, -np.inf
 
 
 class _Found:
@@ -132,6 +144,7 @@ class _Found:
         self._poses = np.empty((0, 3))
         self._graph: Arrays = {}
         self._scans: list[Arrays] = []
+        self.last: LastScan | None = None
 
     def take(self, kind: int, arrays: Arrays) -> None:
         if kind == _KEYFRAMES:
@@ -145,6 +158,9 @@ class _Found:
             if (arrays["local_maps"] >= self._count).any():
                 raise InputError("are local maps of keyframes that are not there")
             self._graph = arrays
+        elif kind == _LAST:
+            _check_numbers(arrays["stamp"], arrays["pose"], arrays["odometry"][~np.isnan(arrays["odometry"])])
+            self.last = LastScan(float(arrays["stamp"][0]), arrays["pose"], arrays["odometry"])
         else:
             _check_scans(arrays, self._count)
             self._scans.append(arrays)
@@ -194,20 +210,24 @@ _NO_SCANS = ScanPoses(np.empty(0), np.empty(0, np.int64), np.empty((0, 3)))
 
 
 def _check_scans(arrays: Arrays, keyframes: int) -> None:
-    numbers = np.concatenate([arrays["stamps"] / 1e10, arrays["offsets"].ravel()])
-    if not (np.abs(numbers) <= FARTHEST_M).all():
-        raise InputError("are scans whose numbers are not finite or absurdly large")
-    # Without keyframes, they hang on those of a map in another file.
-    if not ((arrays["owners"] >= -1) & (arrays["owners"] < (keyframes or 1 << 31))).all():
+    _check_numbers(arrays["stamps"], arrays["offsets"])
+    if not ((arrays["owners"] >= -1) & (arrays["owners"] < keyframes)).all():
         raise InputError("are scans of keyframes that are not there")
 
 
-def _records_of(session: Session | None, scans: ScanPoses) -> Iterator[bytes]:
+def _check_numbers(stamps: NDArray[Any], *poses: NDArray[Any]) -> None:
+    if not ((np.abs(stamps) <= 1e15).all() and all((np.abs(pose) <= FARTHEST_M).all() for pose in poses)):
+        raise InputError("are scans whose numbers are not finite or absurdly large")
+
+
+def _records_of(session: Session | None, scans: ScanPoses, last: LastScan | None) -> Iterator[bytes]:
     if session is not None:
         yield from _keyframe_records(0, {name: getattr(session, name) for name in _OF_KEYFRAMES})
         yield _graph_record(session.local_maps, session.loops, session.loop_information)
     if len(scans):
         yield _scan_record(scans)
+    if last is not None:
+        yield _last_record(last)
 
 
 def _keyframe_records(first: int, arrays: Arrays) -> Iterator[bytes]:
@@ -223,3 +243,8 @@ def _graph_record(local_maps: NDArray[Any], loops: NDArray[Any], information: ND
 
 def _scan_record(scans: ScanPoses) -> bytes:
     return pack(_SCANS, _LAYOUTS[_SCANS], {"stamps": scans.stamps, "owners": scans.owners, "offsets": scans.offsets})
+
+
+def _last_record(last: LastScan) -> bytes:
+    arrays = {"stamp": np.array([last.stamp]), "pose": last.pose, "odometry": last.odometry}
+    return pack(_LAST, _LAYOUTS[_LAST], arrays)

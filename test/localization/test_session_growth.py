@@ -11,6 +11,7 @@ import pytest
 
 from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
+from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.session import ScanPoses
 from g2_recon.localization.localizer import Localizer
@@ -27,10 +28,26 @@ def look(stamp, x, y, yaw) -> Scan:
     return Scan(stamp, ranges.astype(np.float32), ANGLES[0], ANGLES[1] - ANGLES[0])
 
 
-def drive(localizer, rounds=1.5):
-    """Rounds about the middle of the room, long enough to complete local maps."""
-    for step, angle in enumerate(np.arange(0, rounds * 2 * np.pi, 0.05)):
-        localizer.process(look(100 + 0.1 * step, 1.2 * np.cos(angle), 1.2 * np.sin(angle), angle + np.pi / 2))
+ROUNDS = 1.5
+TURNS = np.arange(0, ROUNDS * 2 * np.pi, 0.05)
+# Rounds about the middle of the room, long enough to complete local maps.
+WAY = np.column_stack([1.2 * np.cos(TURNS), 1.2 * np.sin(TURNS), TURNS + np.pi / 2])
+
+
+def true_pose(step) -> np.ndarray:
+    """In the map, whose origin is where the drive began."""
+    return se2.relative(WAY[0], WAY[step])
+
+
+def scans_of_drive():
+    """Each scan with its odometry, in a frame of its own."""
+    for step, pose in enumerate(WAY):
+        yield look(100 + 0.1 * step, *pose), se2.compose(np.array([7.0, 3.0, 1.0]), pose)
+
+
+def drive(localizer):
+    for scan, odometry in scans_of_drive():
+        localizer.process(scan, odometry)
         yield
 
 
@@ -75,6 +92,39 @@ def test_scans_add_up_to_the_trajectory_once_they_are_remembered(grown):
     other.remember(scans)
     np.testing.assert_array_equal(other.trajectory().stamps, localizer.trajectory().stamps)
     np.testing.assert_allclose(other.trajectory().positions, localizer.trajectory().positions, atol=1e-12)
+
+
+def test_after_a_crash_it_goes_on_as_if_nothing_had_happened(grown):
+    """Every 20 scans a new localizer takes up what the one before has said."""
+    whole, _ = grown
+    localizer = Localizer(LocalizationConfig(), MOUNT)
+    way = list(whole.trajectory().stamps)
+    for number, (scan, odometry) in enumerate(scans_of_drive()):
+        if number and number % 20 == 0:
+            said = localizer.growth(0, 0)
+            before, localizer = localizer, Localizer(LocalizationConfig(), MOUNT)
+            localizer.go_on(before.session(), said.scans, said.last)
+        placed = localizer.process(scan, odometry)
+        assert placed.matched
+    np.testing.assert_array_equal(localizer.trajectory().stamps, way)
+    assert abs(len(localizer.keyframes()) - len(whole.keyframes())) <= 2
+    # 2 cm: noise-free scans of one room.
+    np.testing.assert_allclose(localizer.trajectory().positions, whole.trajectory().positions, atol=0.02)
+
+
+def test_odometry_leads_over_the_time_without_a_localizer(grown):
+    scans = list(scans_of_drive())
+    localizer = Localizer(LocalizationConfig(), MOUNT)
+    for scan, odometry in scans[:60]:
+        localizer.process(scan, odometry)
+    said = localizer.growth(0, 0)
+    other = Localizer(LocalizationConfig(), MOUNT)
+    other.go_on(localizer.session(), said.scans, said.last)
+    # Half a round further: on the other side of the room.
+    scan, odometry = scans[125]
+    placed = other.process(scan, odometry)
+    assert placed.matched
+    np.testing.assert_allclose(placed.pose[:2], true_pose(125)[:2], atol=0.02)
 
 
 def test_telling_changes_nothing(grown):

@@ -21,15 +21,17 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from g2_recon.geometry import se2
+from g2_recon.config import LocalizationConfig
+from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.localization.localizer import Localizer
 from g2_recon.nodes import conversions
 from g2_recon.nodes.localizer_node import LocalizerNode
 from g2_recon.nodes.reconstruct_node import ReconstructNode
 from g2_recon.nodes.ros import LATCHED
 from g2_recon.recording.clouds import read_cloud
 from g2_recon.recording.journal import Journal
-from g2_recon.recording.sessions import read_session
+from g2_recon.recording.sessions import read_session, write_session
 from g2_recon.recording.trajectories import read_tum
 
 ROOT = Path(__file__).parents[2]
@@ -81,11 +83,11 @@ def robot(ros, tmp_path):
 def drive(robot, niche_scan):
     """`drive(first, last)` sends the scans of these steps of the way, and gives the poses that come back."""
 
-    def go(first, last):
+    def go(first, last, *, later=0.0, look=niche_scan):
         poses = robot.collect(PoseWithCovarianceStamped, f"{robot.space}/pose")
         scans = robot.publisher(LaserScan, f"{robot.space}/scan")
         for step in range(first, last):
-            scans.publish(niche_scan(100.0 + 0.2 * step, WAY[step]))
+            scans.publish(look(100.0 + later + 0.2 * step, WAY[step]))
         robot.wait_until(lambda: len(poses) == last - first, 60)
         return np.array([se2.from_se3(conversions.pose_matrix(pose.pose.pose)) for pose in poses])
 
@@ -114,6 +116,32 @@ def test_a_localizer_that_is_killed_goes_on_in_its_map_and_loses_no_scan(robot, 
     np.testing.assert_allclose(trajectory.stamps, 100.0 + 0.2 * np.arange(12), atol=1e-6)
     np.testing.assert_allclose(trajectory.planar(), in_map(WAY), atol=0.02)
     assert len(read_session(tmp_path / "session.npz")) == 12
+
+
+def test_a_localizer_that_comes_back_much_later_looks_for_its_place_in_its_map(robot, drive):
+    robot.start("localizer_node", *MOUNTED)
+    drive(0, 8)
+    robot.kill()
+    robot.start("localizer_node", *MOUNTED)
+    # The robot has been carried.
+    np.testing.assert_allclose(drive(1, 3, later=3600.0), in_map(WAY[1:3]), atol=0.02)
+
+
+def test_in_a_map_that_stays_as_it_is_a_killed_localizer_knows_where_it_was(robot, drive, room_scan, tmp_path):
+    """The room looks the same from both ends."""
+    localizer = Localizer(LocalizationConfig(), np.eye(4))
+    localizer.process(conversions.scan_from_message(room_scan(10.0, WAY[0])))
+    write_session(tmp_path / "map.npz", localizer.session())
+    arguments = (*MOUNTED, "-p", f"map:={tmp_path}/map.npz", "-p", "mode:=localization")
+    robot.start("localizer_node", *arguments)
+    given = PoseWithCovarianceStamped(header=Header(frame_id="map"))
+    given.pose.pose = conversions.pose_message(se3.from_se2((0.0, 0.0, 0.0)))
+    robot.publisher(PoseWithCovarianceStamped, f"{robot.space}/initialpose").publish(given)
+    robot.wait_until(lambda: robot.value("received initialpose") == "1")
+    np.testing.assert_allclose(drive(0, 3, look=room_scan), in_map(WAY[:3]), atol=0.02)
+    robot.kill()
+    robot.start("localizer_node", *arguments)
+    np.testing.assert_allclose(drive(3, 4, look=room_scan), in_map(WAY[3:4]), atol=0.02)
 
 
 def test_a_reset_forgets_what_was_gone_on_from_and_keeps_it_beside(robot, drive, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from g2_recon.errors import InputError
-from g2_recon.geometry.session import ScanPoses, Session, SessionGrowth
+from g2_recon.geometry.session import LastScan, ScanPoses, Session, SessionGrowth
 from g2_recon.recording import session_journal as module
 from g2_recon.recording.journal import Journal
 from g2_recon.recording.records import pack
@@ -58,6 +59,7 @@ def growth(first, last, *, moved=0.0, graph=True) -> SessionGrowth:
         poses=now.poses,
         graph=(now.local_maps, now.loops, now.loop_information) if graph else None,
         scans=scans(first, last),
+        last=LastScan(200.0 + last, np.full(3, 0.1 * last), np.array([1.0, np.nan, 2.0])),
         **{name: getattr(now, name)[first:] for name in OF_KEYFRAMES},
     )
 
@@ -100,6 +102,20 @@ def test_a_session_that_grows_comes_back_as_it_is(tmp_path):
     assert_same(found.session, session())
     np.testing.assert_array_equal(found.scans.offsets, scans(0, 6).offsets)
     assert (found.keyframes, found.scan_count, found.left_out) == (6, 6, 0)
+    assert found.last.stamp == 206.0
+    np.testing.assert_array_equal(found.last.pose, np.full(3, 0.1 * 6))
+    np.testing.assert_array_equal(found.last.odometry, [1.0, np.nan, 2.0])
+
+
+def test_a_robot_that_stands_is_noted_once_a_second(tmp_path):
+    standing = growth(2, 2, graph=False)
+    later = [
+        dataclasses.replace(standing, last=dataclasses.replace(standing.last, stamp=202.0 + 0.1 * step))
+        for step in range(1, 21)
+    ]
+    ends = write(tmp_path / "a", growth(0, 2), *later)
+    assert sum(end > before for before, end in pairwise(ends[1:])) == 2
+    assert read(tmp_path / "a").last.stamp == pytest.approx(204.0)
 
 
 def test_keyframes_that_are_moved_come_back_where_they_are(tmp_path):
@@ -140,10 +156,13 @@ def test_scans_with_different_numbers_of_beams_are_of_one_session(tmp_path):
     assert found.kinds.tolist() == [[1, 1, 1] + [0] * 6, [1] * 5 + [0] * 4]
 
 
-def test_scans_in_a_map_that_stays_as_it_is_come_back_without_it(tmp_path):
-    write(tmp_path / "a", growth(4, 6))
+def test_scans_in_a_map_that_is_there_already_come_back_with_it(tmp_path):
+    log, journal = opened(tmp_path / "a")
+    log.begin(session())
+    log.write(dataclasses.replace(growth(6, 6, graph=False), scans=scans(4, 6)))
+    journal.close()
     found = read(tmp_path / "a")
-    assert found.session is None and found.keyframes == 0
+    assert_same(found.session, session())
     assert found.scans.owners.tolist() == [4, 5]
 
 
@@ -151,7 +170,7 @@ def test_a_cleared_journal_begins_anew(tmp_path):
     write(tmp_path / "a", growth(0, 6))
     log, journal = opened(tmp_path / "a")
     log.clear()
-    assert log.session is None and not len(log.scans)
+    assert log.session is None and not len(log.scans) and log.last is None
     log.write(growth(0, 2))
     journal.close()
     assert_same(read(tmp_path / "a").session, session(2))
@@ -195,6 +214,9 @@ def test_behind_a_damaged_record_nothing_is_taken_but_a_copy_is_kept(tmp_path):
         (module._SCANS, {"stamps": [1.0], "owners": [-2], "offsets": np.zeros((1, 3))}),
         (module._SCANS, {"stamps": [np.nan], "owners": [0], "offsets": np.zeros((1, 3))}),
         (module._SCANS, {"stamps": [1.0], "owners": [0], "offsets": np.full((1, 3), 1e9)}),
+        (module._LAST, {"stamp": [np.nan], "pose": np.zeros(3), "odometry": np.zeros(3)}),
+        (module._LAST, {"stamp": [1.0], "pose": np.full(3, np.nan), "odometry": np.zeros(3)}),
+        (module._LAST, {"stamp": [1.0], "pose": np.zeros(3), "odometry": np.full(3, np.inf)}),
     ],
 )
 def test_a_record_that_does_not_fit_those_before_is_left_out(tmp_path, kind, change):
@@ -224,4 +246,4 @@ def test_no_memory_is_taken_for_one_keyframe_that_is_too_wide(tmp_path, monkeypa
     monkeypatch.setattr(module, "MOST_BYTES", N * 5 * 17 - 1)
     write(tmp_path / "a", growth(0, 5), growth(5, 6))
     found = read(tmp_path / "a")
-    assert (len(found.session), found.left_out) == (5, 3)
+    assert (len(found.session), found.left_out) == (5, 4)
