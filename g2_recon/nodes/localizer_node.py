@@ -81,6 +81,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._loaded = read_session(FilePath(self.settings.map).expanduser()) if self.settings.map else None
         self._session = self._loaded
         self._odometry = PoseBuffer()
+        # Whether the first scan after a crash is still to come.
+        self._bridging = False
         self._waiting: deque[_WaitingScan] = deque()
         self._jumps = JumpDetector()
         self._newest_scan = -np.inf
@@ -103,6 +105,10 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         if journal.last is not None:
             # A recording that is replayed once more starts anew, as one that loops does.
             self._jumps.jumped_back(journal.last.stamp)
+            if self.settings.use_odometry and np.isfinite(journal.last.odometry).all():
+                # What the wheels have told since then leads over the time in between.
+                self._odometry.add(journal.last.stamp, se3.from_se2(journal.last.odometry))
+                self._bridging = True
         return journal
 
     def _start_localizer(self, T_base_laser: NDArray[np.float64], stamp: float) -> None:
@@ -240,7 +246,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         if not len(self._odometry) or waiting.scan.stamp <= self._odometry.last_stamp:
             return False
         overdue = self._newest_scan - self._odometry.last_stamp > self.settings.odometry_wait
-        return monotonic() - waiting.received_at < (_GRACE_S if overdue else _LONGEST_GRACE_S)
+        brief = overdue and not self._bridging
+        return monotonic() - waiting.received_at < (_GRACE_S if brief else _LONGEST_GRACE_S)
 
     def _localize(self, scan: Scan, stamp: Time) -> None:
         assert self._localizer is not None and self._grid is not None
@@ -261,7 +268,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
 
     def _look_up_odometry(self, stamp: float) -> NDArray[np.float64] | None:
         """T_odom_base (4, 4) at the time of a scan, None where unknown."""
-        poses, known = self._odometry.interpolate([stamp], max_gap=_MAX_ODOMETRY_GAP_S)
+        poses, known = self._odometry.interpolate([stamp], max_gap=_SOON_S if self._bridging else _MAX_ODOMETRY_GAP_S)
+        self._bridging = False
         # Scans of some recordings step back by less than a second.
         self._odometry.drop_before(stamp - _MAX_ODOMETRY_GAP_S)
         return poses[0] if known[0] else None

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
@@ -86,6 +88,8 @@ def drive(robot, niche_scan):
     def go(first, last, *, later=0.0, look=niche_scan):
         poses = robot.collect(PoseWithCovarianceStamped, f"{robot.space}/pose")
         scans = robot.publisher(LaserScan, f"{robot.space}/scan")
+        # The other ends of the connections come a little later.
+        time.sleep(0.5)
         for step in range(first, last):
             scans.publish(look(100.0 + later + 0.2 * step, WAY[step]))
         robot.wait_until(lambda: len(poses) == last - first, 60)
@@ -116,6 +120,34 @@ def test_a_localizer_that_is_killed_goes_on_in_its_map_and_loses_no_scan(robot, 
     np.testing.assert_allclose(trajectory.stamps, 100.0 + 0.2 * np.arange(12), atol=1e-6)
     np.testing.assert_allclose(trajectory.planar(), in_map(WAY), atol=0.02)
     assert len(read_session(tmp_path / "session.npz")) == 12
+
+
+def test_wheels_lead_over_the_time_in_which_a_localizer_was_away(robot, niche_scan):
+    """Without them, the robot would be looked for where it was, 4 m from where it is."""
+
+    def life(first, way):
+        robot.start("localizer_node", *MOUNTED)
+        poses = robot.collect(PoseWithCovarianceStamped, f"{robot.space}/pose")
+        wheels = robot.publisher(Odometry, f"{robot.space}/odom")
+        scans = robot.publisher(LaserScan, f"{robot.space}/scan")
+        # The other ends of the connections come a little later.
+        time.sleep(0.5)
+        for step, pose in enumerate(way):
+            stamp = first + 0.2 * step
+            # So even the first scan comes before the first odometry.
+            scans.publish(niche_scan(stamp, pose))
+            message = Odometry(header=conversions.header(conversions.stamp_message(stamp + 0.01), "odom"))
+            message.pose.pose = conversions.pose_message(se3.from_se2(pose))
+            wheels.publish(message)
+        robot.wait_until(lambda: len(poses) == len(way), 60)
+        robot.kill()
+        return np.array([se2.from_se3(conversions.pose_matrix(pose.pose.pose)) for pose in poses])
+
+    before = [(-2.0 + 0.1 * step, -1.5, 0.0) for step in range(3)]
+    after = [(2.0 + 0.1 * step, 1.0, 3.0) for step in range(3)]
+    for first, way in ((100.0, before), (110.0, after)):
+        found = life(first, way)
+        np.testing.assert_allclose(found, se2.relative(np.array(before[0]), np.array(way)), atol=0.02)
 
 
 def test_a_localizer_that_comes_back_much_later_looks_for_its_place_in_its_map(robot, drive):
