@@ -89,7 +89,14 @@ setup(
             f"g2-recon = {PACKAGE}.cli:main",
             *(
                 f"{node} = {PACKAGE}.nodes.{node}:main"
-                for node in ("localizer_node", "registrar_node", "sweep_node", "reconstruct_node", "replay_node")
+                for node in (
+                    "localizer_node",
+                    "registrar_node",
+                    "sweep_node",
+                    "reconstruct_node",
+                    "replay_node",
+                    "pipeline_node",
+                )
             ),
         ],
     },

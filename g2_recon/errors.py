@@ -22,3 +22,7 @@ class InputError(G2ReconError):
 
 class ConfigError(InputError):
     """A setting is unknown, has the wrong type or is out of its range."""
+
+
+class JournalError(InputError):
+    """A journal cannot be opened or written to; what goes on goes on in memory."""

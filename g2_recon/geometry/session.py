@@ -127,6 +127,55 @@ class Session:
         ]
 
 
+@dataclass(frozen=True, slots=True)
+class ScanPoses:
+    """Where S scans were: stamps (S,) s, owners (S,) the keyframe that each hangs on, offsets (S, 3) seen from there.
+
+    An owner of -1 is none: the offset is then T_map_laser.
+    """
+
+    stamps: Float
+    owners: Int
+    offsets: Float
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+
+@dataclass(frozen=True, slots=True)
+class LastScan:
+    """Where a session was left: stamp s, pose (3,) T_map_laser, odometry (3,) T_odom_base, NaN where unknown."""
+
+    stamp: float
+    pose: Float
+    odometry: Float
+
+
+@dataclass(frozen=True, slots=True)
+class SessionGrowth:
+    """What a session has more than at an earlier time, when it had `first` keyframes.
+
+    poses: (N, 3) of all keyframes as they are now; the other arrays as in Session, of the keyframes from `first` on.
+    graph: local_maps, loops and loop_information as in Session, or None while they are in the making. scans: those
+    that have come since, of a robot that stands only the first. last: the latest of all.
+    """
+
+    first: int
+    poses: Float
+    stamps: Float
+    points: Float32
+    normals: Float32
+    kinds: NDArray[np.uint8]
+    firsts: Float
+    increments: Float
+    ways: Float
+    wheel_steps: Float
+    broken: NDArray[np.bool_]
+    graph: tuple[Int, Int, Float] | None
+    scans: ScanPoses
+    last: LastScan
+
+
 _ADVICE = "save it again"
 
 

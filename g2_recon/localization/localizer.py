@@ -17,7 +17,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.se2_kernels import compose, inverse_3x3, relative
-from g2_recon.geometry.session import Session
+from g2_recon.geometry.session import LastScan, ScanPoses, Session, SessionGrowth
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
 from g2_recon.localization.beams import INVALID, SURFACE, Beams, beams
@@ -292,9 +292,7 @@ class Localizer:
         if self._take_loops():
             self._last = compose(self._keyframes.poses[-1], relative(before, self._last))
         points, normals, kinds, firsts, increments = self._keyframes.arrays
-        count = len(self._keyframes)
-        begins = [local.first for local in self._loops.maps] + ([self._map_begins] if self._map_begins < count else [])
-        loops = self._loops.credible()
+        local_maps, loops, information = self._graph()
         return Session(
             stamps=np.array(self._keyframe_stamps),
             poses=self._keyframes.poses.copy(),
@@ -306,10 +304,70 @@ class Localizer:
             ways=np.array(self._ways),
             wheel_steps=np.array(self._wheel_steps),
             broken=np.array(self._broken),
-            local_maps=np.array(begins, np.int64),
-            loops=np.array([loop[:2] for loop in loops], np.int64).reshape(-1, 2),
-            loop_information=np.array([loop[3] for loop in loops]).reshape(-1, 3, 3),
+            local_maps=local_maps,
+            loops=loops,
+            loop_information=information,
         )
+
+    def _graph(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Float]:
+        """Begins of the local maps (C,), loops (L, 2) and their information (L, 3, 3), while none is being closed."""
+        count = len(self._keyframes)
+        begins = [local.first for local in self._loops.maps] + ([self._map_begins] if self._map_begins < count else [])
+        loops = self._loops.credible()
+        return (
+            np.array(begins, np.int64),
+            np.array([loop[:2] for loop in loops], np.int64).reshape(-1, 2),
+            np.array([loop[3] for loop in loops]).reshape(-1, 3, 3),
+        )
+
+    def growth(self, keyframes: int, scans: int) -> SessionGrowth:
+        """What has come since there were so many keyframes and scans; nothing waits for it and nothing is moved."""
+        points, normals, kinds, firsts, increments = self._keyframes.arrays
+        return SessionGrowth(
+            first=keyframes,
+            poses=self._keyframes.poses.copy(),
+            stamps=np.array(self._keyframe_stamps[keyframes:]),
+            points=points[keyframes:].copy(),
+            normals=normals[keyframes:].copy(),
+            kinds=kinds[keyframes:].copy(),
+            firsts=firsts[keyframes:].copy(),
+            increments=increments[keyframes:].copy(),
+            ways=np.array(self._ways[keyframes:]),
+            wheel_steps=np.reshape(self._wheel_steps[keyframes:], (-1, 3)),
+            broken=np.array(self._broken[keyframes:], bool),
+            graph=self._graph() if len(points) > keyframes and self._closing is None else None,
+            scans=ScanPoses(
+                np.array(self._stamps[scans:]),
+                np.array(self._owners[scans:], np.int64),
+                np.reshape(self._offsets[scans:], (-1, 3)),
+            ),
+            last=LastScan(self._stamp, self._last.copy(), self._odometry.last),
+        )
+
+    def go_on(self, session: Session, scans: ScanPoses, last: LastScan) -> None:
+        """Go on in a session as if nothing had happened since its last scan; after a crash, nothing has.
+
+        Raises InputError as `remember` does.
+        """
+        self.resume(session)
+        self.remember(scans)
+        # The wheels since the last keyframe are not known any more.
+        self._wheels_since = _UNKNOWN
+        self._last, self._stamp = last.pose.copy(), last.stamp
+        self._odometry.go_on(last.stamp, last.odometry)
+        self._tracker.segment = int(np.flatnonzero(session.broken).max(initial=0))
+        self._smoother.refill(session.wheel_steps, self._tracker.segment)
+
+    def remember(self, scans: ScanPoses) -> None:
+        """Take scans of an earlier session into the trajectory; they hang on the keyframes that there are now.
+
+        Raises InputError where there are not so many keyframes.
+        """
+        if len(scans) and scans.owners.max() >= len(self._keyframes):
+            raise InputError("scans of a session hang on keyframes that are not there")
+        self._stamps = scans.stamps.tolist() + self._stamps
+        self._owners = scans.owners.tolist() + self._owners
+        self._offsets = [*scans.offsets, *self._offsets]
 
     def resume(self, session: Session, pose: ArrayLike = se2.IDENTITY) -> None:
         """Forget everything and go on in the map of a session, in a new segment with the robot at `pose` (3,)."""

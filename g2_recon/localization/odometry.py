@@ -30,6 +30,15 @@ class OdometrySteps:
         self._stamp = np.nan
         self.jumps = 0
 
+    @property
+    def last(self) -> Float:
+        """T_odom_base (3,) at the last scan, NaN where unknown."""
+        return np.full(3, np.nan) if self._last is None else self._last
+
+    def go_on(self, stamp: float, odometry: Float) -> None:
+        """Go on from the scan at `stamp` s as if it had been the last one."""
+        self._last, self._stamp = (None if np.isnan(odometry).any() else odometry.copy()), stamp
+
     def step(self, stamp: float, odometry: ArrayLike | None) -> Float | None:
         """The step to the scan at `stamp` s, where T_odom_base is `odometry` (3,); None where it is not known."""
         measured = None if odometry is None or not self._use else np.asarray(odometry, float)

@@ -51,9 +51,7 @@ class Smoother:
         if k == segment:
             return
         poses = self._keyframes.poses
-        step = relative(poses[k - 1], poses[k]) if np.isnan(odometry).any() else odometry
-        last = np.array([k])
-        self._wheels[k] = pose_graph.measured(last, last - 1, step[None], _wheel_information(step)[None])
+        self._wheels[k] = self._wheel_edge(k, odometry)
         self._wheels.pop(k - _RELAID, None)
         relaid, start = max(segment + 1, k + 1 - _RELAID), max(segment + 1, k - _LAG)
         self._edges.shorten(self._begins.get(relaid, self._edges.end))
@@ -70,9 +68,27 @@ class Smoother:
             poses, start, window.first, window.second, window.T, window.hessians, window.gradients, _ROUNDS
         )
 
+    def refill(self, odometry: Float, segment: int) -> None:
+        """Take up keyframes that there were before, which stay where they are; odometry: (N, 3) steps to each."""
+        count = len(self._keyframes)
+        start = max(segment + 1, count - _LAG - _RELAID)
+        laid = self._laid(start, count - 1, segment)
+        for i in range(start, count):
+            self._wheels[i] = self._wheel_edge(i, odometry[i])
+            self._begins[i] = self._edges.end
+            self._edges.extend(laid[laid.first == i])
+            self._edges.extend(self._wheels[i])
+
     def latest(self) -> pose_graph.Edges | None:
         """The edges of the latest keyframe, at the present poses; None where there is none before it."""
         return None if self._latest is None else pose_graph.at_poses(self._keyframes.poses, self._latest)
+
+    def _wheel_edge(self, k: int, odometry: Float) -> pose_graph.Edges:
+        """The edge of keyframe k to the one before, by the step (3,) of the wheels or, where unknown, as it is."""
+        poses = self._keyframes.poses
+        step = relative(poses[k - 1], poses[k]) if np.isnan(odometry).any() else odometry
+        last = np.array([k])
+        return pose_graph.measured(last, last - 1, step[None], _wheel_information(step)[None])
 
     def _laid(self, relaid: int, k: int, segment: int) -> pose_graph.Edges:
         """Edges of the keyframes from `relaid` to k to those before them that they fit on."""

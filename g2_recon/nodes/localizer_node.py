@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path as FilePath
 from time import monotonic
 from typing import NamedTuple
@@ -31,7 +31,9 @@ from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.localization.resumed import ResumedLocalizer
+from g2_recon.localization.wheel_check import WheelCheck
 from g2_recon.nodes import conversions
+from g2_recon.nodes.localizer_journal import LocalizerJournal
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode, session_folder
@@ -48,6 +50,15 @@ _GRACE_S, _LONGEST_GRACE_S = 0.05, 1.0
 # Wall time a second for the occupancy grid, so that scans do not wait while a closed loop makes it count anew; it looks
 # at the time after so many keyframes.
 _GRID_S, _GRID_KEYFRAMES = 0.1, 16
+# So many of the last scans tell how well they match; what is wrong if fewer than this share do, or if more than this
+# share of the way contradicts the wheels.
+_LAST_SCANS, _FEWEST_SCANS = 200, 50
+_LEAST_MATCHED, _MOST_CONTRADICTION = 0.5, 0.5
+# A session whose last scan is not older than this was left by a crash: the robot has not been carried away since.
+_SOON_S = 60.0
+# Odometry that is so much older than the scans has stopped.
+_LATE_ODOMETRY_S = 2.0
+_UPRIGHT = math.radians(45)
 
 
 class _WaitingScan(NamedTuple):
@@ -67,8 +78,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._localizer: AnyLocalizer | None = None
         self._grid: KeyframeGrid | None = None
         self._start: NDArray[np.float64] | None = None
-        self._session = read_session(FilePath(self.settings.map).expanduser()) if self.settings.map else None
+        self._loaded = read_session(FilePath(self.settings.map).expanduser()) if self.settings.map else None
+        self._session = self._loaded
         self._odometry = PoseBuffer()
+        # Whether the first scan after a crash is still to come.
+        self._bridging = False
         self._waiting: deque[_WaitingScan] = deque()
         self._jumps = JumpDetector()
         self._newest_scan = -np.inf
@@ -76,7 +90,49 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._map_changed = False
         self._localized = 0
         self._latest: LocalizedScan | None = None
+        self._matched: deque[bool] = deque(maxlen=_LAST_SCANS)
+        self._wheel_check = WheelCheck()
+        self._journal = self._open_journal()
         self._connect()
+
+    def _open_journal(self) -> LocalizerJournal:
+        """With what a node that was killed has left in it."""
+        folder = self.settings.session_dir
+        if self.settings.method == "paper" and folder:
+            self.get_logger().warning("method paper keeps no journal: after a crash it starts anew")
+            folder = ""
+        journal = LocalizerJournal(self, folder, "localizer.journal")
+        if journal.last is not None:
+            # A recording that is replayed once more starts anew, as one that loops does.
+            self._jumps.jumped_back(journal.last.stamp)
+            if self.settings.use_odometry and np.isfinite(journal.last.odometry).all():
+                # What the wheels have told since then leads over the time in between.
+                self._odometry.add(journal.last.stamp, se3.from_se2(journal.last.odometry))
+                self._bridging = True
+        return journal
+
+    def _start_localizer(self, T_base_laser: NDArray[np.float64], stamp: float) -> None:
+        """With the first scan, at `stamp` s; where a session was left a moment ago, go on as if nothing had been."""
+        left, last = self._journal.session, self._journal.last
+        soon = False
+        if left is not None and last is not None and self.settings.mode == "mapping":
+            self._session = left
+            soon = self._start is None and stamp - last.stamp < _SOON_S
+            self.get_logger().info(f"going on in the map of the last time: {len(left)} keyframes")
+        self._localizer = make_localizer(self.settings, T_base_laser, session=None if soon else self._session)
+        if self._start is not None:
+            self._localizer.reset(self._start)
+        if isinstance(self._localizer, Localizer):
+            self._take_up(self._localizer)
+        self._grid = KeyframeGrid(self.settings, T_base_laser)
+        self._empty_grid()
+
+    def _take_up(self, localizer: Localizer) -> None:
+        try:
+            self._journal.take_up(localizer, near=self._start is None)
+        except InputError as error:
+            self.drop("unusable journal", str(error))
+            self._journal.clear()
 
     def _connect(self) -> None:
         depth = self.settings.queue_depth
@@ -89,14 +145,48 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self.offer_pause()
         self.create_timer(1.0, self._publish_maps, clock=self.steady_clock)
         self.create_timer(_GRACE_S, self._process_waiting, clock=self.steady_clock)
-        self.create_subscription(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, 1)
+        self.listen(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, reliable_qos(1))
         if self.settings.use_odometry:
-            self.create_subscription(Odometry, "odom", self._on_odometry, sensor_qos(depth))
-        self.create_subscription(LaserScan, "scan", self._on_scan, sensor_qos(depth))
+            self.listen(Odometry, "odom", self._on_odometry, sensor_qos(depth))
+        self.listen(LaserScan, "scan", self._on_scan, sensor_qos(depth))
 
     def waiting_for(self) -> str:
         """See StageNode."""
-        return self.not_received("scan") or self._mount.waiting_for or self._waiting_for_place()
+        return self.not_received("scan") or self._mount.waiting_for or self.stopped("scan") or self._waiting_for_place()
+
+    def doubts(self) -> Iterator[str]:
+        """See StageNode."""
+        if self._mount.tilt is not None and self._mount.tilt > _UPRIGHT:
+            yield (
+                f"the laser of `scan` stands upright, {math.degrees(self._mount.tilt):.0f} deg from level: exchange it "
+                "with that of `scan_vertical`, or correct its pose in `laser_pose` or TF"
+            )
+        if self.settings.use_odometry:
+            yield self._lack_of_odometry()
+        if self._wheel_check.contradiction > _MOST_CONTRADICTION:
+            yield (
+                f"scans and wheels contradict each other on {self._wheel_check.contradiction:.0%} of the last metres: "
+                "perhaps both lasers are swapped (`scan` has to be the horizontal one, `scan_vertical` the vertical "
+                "one), `laser_pose` is wrong, or `odom` is not of this robot"
+            )
+        elif len(self._matched) >= _FEWEST_SCANS and self._share_matched() < _LEAST_MATCHED:
+            yield (
+                f"only {self._share_matched():.0%} of the last scans match the map: perhaps `scan` is not that of the "
+                "horizontal laser, or `laser_pose`, `min_range` or `max_range` is wrong"
+            )
+
+    def _lack_of_odometry(self) -> str:
+        odom, scan = self.inputs["odom"], self.inputs["scan"]
+        if not odom.count:
+            return (
+                f"no odometry: {odom.lack()}; scans are matched without it; if there is none, set use_odometry to false"
+            )
+        if scan.newest_stamp - odom.newest_stamp > _LATE_ODOMETRY_S:
+            return f"no odometry since {odom.newest_stamp:.1f} s: `{odom.topic}` has stopped or comes late"
+        return ""
+
+    def _share_matched(self) -> float:
+        return sum(self._matched) / max(len(self._matched), 1)
 
     def _waiting_for_place(self) -> str:
         lost = isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)) and not self._localizer.is_placed
@@ -104,15 +194,19 @@ class LocalizerNode(StageNode[LocalizerParameters]):
 
     def figures(self) -> dict[str, object]:
         """See StageNode."""
+        localizer, latest = self._localizer, self._latest
         return {
             "localized scans": self._localized,
-            "scans that did not match the map": 0 if self._localizer is None else self._localizer.unmatched,
+            "scans that did not match the map": 0 if localizer is None else localizer.unmatched,
             "scans that wait for odometry": len(self._waiting),
-            "position is known least": "" if self._latest is None else _weak_axis(self._latest),
+            "beams that fit the map": "" if latest is None else f"{latest.inliers:.0%}",
+            "of the last scans match": f"{self._share_matched():.0%}" if self._matched else "",
+            "of the last metres contradict the wheels": f"{self._wheel_check.contradiction:.0%}",
+            "position is known least": "" if latest is None else _weak_axis(latest),
+            "loops closed": 0 if localizer is None else localizer.loops,
         }
 
     def _on_odometry(self, message: Odometry) -> None:
-        self.received["odom"] += 1
         odometry = self.usable(conversions.odometry_from_message, message, "odometry")
         if odometry is None:
             return
@@ -123,7 +217,6 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._process_waiting()
 
     def _on_scan(self, message: LaserScan) -> None:
-        self.received["scan"] += 1
         if self.paused:
             self.drops["scan while paused"] += 1
             return
@@ -138,11 +231,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self.drops["scan of a laser with unknown pose"] += 1
             return
         if self._localizer is None:
-            self._localizer = make_localizer(self.settings, T_base_laser, session=self._session)
-            if self._start is not None:
-                self._localizer.reset(self._start)
-            self._grid = KeyframeGrid(self.settings, T_base_laser)
-            self._empty_grid()
+            self._start_localizer(T_base_laser, scan.stamp)
         self._newest_scan = max(self._newest_scan, scan.stamp)
         self._waiting.append(_WaitingScan(scan, message.header.stamp, monotonic()))
         self._process_waiting()
@@ -157,7 +246,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         if not len(self._odometry) or waiting.scan.stamp <= self._odometry.last_stamp:
             return False
         overdue = self._newest_scan - self._odometry.last_stamp > self.settings.odometry_wait
-        return monotonic() - waiting.received_at < (_GRACE_S if overdue else _LONGEST_GRACE_S)
+        brief = overdue and not self._bridging
+        return monotonic() - waiting.received_at < (_GRACE_S if brief else _LONGEST_GRACE_S)
 
     def _localize(self, scan: Scan, stamp: Time) -> None:
         assert self._localizer is not None and self._grid is not None
@@ -166,15 +256,20 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         result = self._localizer.process(scan, odometry)
         self._localized += 1
         self._latest = result
+        self._matched.append(result.matched)
+        self._wheel_check.add(result.pose, odometry)
         if result.keyframe:
             self._grid.add(scan)
             self._map_changed = True
+        if isinstance(self._localizer, Localizer):
+            self._journal.write(self._localizer)
         self._last_stamp = stamp
         self._publish_pose(result, stamp, T_odom_base)
 
     def _look_up_odometry(self, stamp: float) -> NDArray[np.float64] | None:
         """T_odom_base (4, 4) at the time of a scan, None where unknown."""
-        poses, known = self._odometry.interpolate([stamp], max_gap=_MAX_ODOMETRY_GAP_S)
+        poses, known = self._odometry.interpolate([stamp], max_gap=_SOON_S if self._bridging else _MAX_ODOMETRY_GAP_S)
+        self._bridging = False
         # Scans of some recordings step back by less than a second.
         self._odometry.drop_before(stamp - _MAX_ODOMETRY_GAP_S)
         return poses[0] if known[0] else None
@@ -182,7 +277,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
     def _publish_pose(self, result: LocalizedScan, stamp: Time, T_odom_base: NDArray[np.float64] | None) -> None:
         head = conversions.header(stamp, self.settings.map_frame)
         self._pose_publisher.publish(conversions.planar_pose_message(head, result.pose, result.covariance))
-        if T_odom_base is not None and not self._waiting_for_place():
+        if self.settings.publish_tf and T_odom_base is not None and not self._waiting_for_place():
             T_map_odom = se3.from_se2(result.pose) @ se3.inverse(T_odom_base)
             self._transforms.send(stamp, self.settings.map_frame, self.settings.odom_frame, T_map_odom)
 
@@ -218,7 +313,6 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         return Cloud(np.column_stack([planar, np.zeros(len(planar))]))
 
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self.received["initialpose"] += 1
         frame = message.header.frame_id
         if frame not in ("", self.settings.map_frame):
             self.drop("initialpose in another frame", f"it is in {frame}, not {self.settings.map_frame}")
@@ -229,14 +323,14 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self.drop("unusable initialpose", str(error))
             return
         near = f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, yaw {pose[2]:.2f} rad"
-        if self._session is None:
-            self.get_logger().info(f"starting a new map at {near}")
-            self._reset(pose)
-        elif isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)):
+        if isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)):
             self.get_logger().info(f"looking for the place of the robot near {near}")
             self._localizer.set_pose(pose)
-        else:
+        elif self._localizer is None and self._loaded is not None:
             self._start = pose
+        else:
+            self.get_logger().info(f"starting a new map at {near}")
+            self._reset(pose)
 
     def _reset_on_request(self) -> str:
         self._reset(None)
@@ -256,6 +350,12 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._waiting.clear()
         self._newest_scan = -np.inf
         self._map_changed = False
+        self._matched.clear()
+        self._wheel_check = WheelCheck()
+        self._journal.clear()
+        if self._session is not self._loaded:
+            # What was taken up from the journal is forgotten, too.
+            self._session, self._localizer, self._grid = self._loaded, None, None
         if self._localizer is not None:
             self._localizer.reset(*([] if start is None else [start]))
         self._empty_grid()

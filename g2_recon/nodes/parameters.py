@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -35,23 +36,50 @@ def _parameter(default: Any, meaning: str, unit: str = "", *, ge: float | None =
 class _NodeModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
+    live: ClassVar[frozenset[str]] = frozenset()
+    """The parameters that can be changed while the node runs; the others are read-only."""
+
     queue_depth: int = _parameter(
         1000, "messages of a topic that are kept for a node that is busy; older ones are lost", ge=1, le=1_000_000
     )
 
 
+_FRAMES = ("map_frame", "odom_frame", "base_frame")
+
+
 class _MapNodeModel(_NodeModel):
     map_frame: str = _parameter("map", "frame of the map; what comes in another frame is dropped and counted")
+    frame_prefix: str = _parameter(
+        "", "goes before the names of all frames that are parameters, such as robot1/ for one robot of several"
+    )
+
+    def with_prefix(self: Model) -> Model:
+        """The parameters with `frame_prefix` before each frame."""
+        values = self.model_dump()
+        prefix = values["frame_prefix"]
+        return self.model_copy(update={name: prefix + values[name] for name in _FRAMES if name in values})
+
+
+def effective(settings: Model) -> Model:
+    """The settings as a node uses them: with the prefix before each frame."""
+    return settings.with_prefix() if isinstance(settings, _MapNodeModel) else settings
 
 
 class _SessionModel(BaseModel):
-    session_dir: str = _parameter("", "folder that ~/save writes to; empty: ~/save says that it has none")
+    session_dir: str = _parameter(
+        "",
+        "folder that ~/save writes to, and of the journal of all that was accepted, from which a node goes on after a "
+        "crash; empty: neither",
+    )
 
 
 class LocalizerParameters(_SessionModel, _MapNodeModel, LocalizationConfig):
     """Parameters of localizer_node."""
 
+    live: ClassVar[frozenset[str]] = frozenset({"odometry_wait", "publish_tf"})
+
     odom_frame: str = _parameter("odom", "frame of the wheel odometry, parent of the robot in TF")
+    publish_tf: bool = _parameter(True, "send the transform map -> odom, where tf2 is installed")
     base_frame: str = _parameter("base_link", "frame of the robot that the laser is mounted on")
     odometry_wait: float = _parameter(
         0.2, "a scan waits for odometry unless odometry is this much older than the newest scan", "s", ge=0, le=10
@@ -60,6 +88,8 @@ class LocalizerParameters(_SessionModel, _MapNodeModel, LocalizationConfig):
 
 class RegistrarParameters(_MapNodeModel, RegistrationConfig):
     """Parameters of registrar_node."""
+
+    live: ClassVar[frozenset[str]] = frozenset({"min_range", "max_range", "max_wait", "max_gap"})
 
     base_frame: str = _parameter("base_link", "frame of the robot that the laser is mounted on")
 
@@ -78,13 +108,17 @@ class SweepParameters(_SessionModel, _MapNodeModel, SweepConfig):
 
 
 class ReconstructParameters(_SessionModel, _MapNodeModel, ReconstructionConfig):
-    """Parameters of reconstruct_node."""
+    """Parameters of reconstruct_node; each reconstruction takes those of the moment at which it begins."""
+
+    live: ClassVar[frozenset[str]] = frozenset(ReconstructionConfig.model_fields)
 
     cloud_topics: tuple[str, ...] = _parameter(("cloud",), "topics of the clouds, one or more a robot")
 
 
 class ReplayParameters(_NodeModel):
     """Parameters of replay_node."""
+
+    live: ClassVar[frozenset[str]] = frozenset({"rate", "loop", "exit_when_done"})
 
     bag: str = _parameter("", "recording to replay: the folder of a rosbag2 or a bag file")
     rate: float = _parameter(1.0, "speed of the replay; 1: as it was recorded", ge=0.01, le=100)
@@ -109,7 +143,7 @@ G2: dict[str, BaseModel] = {
 
 
 def declare(node: Node, model: type[Model]) -> Model:
-    """Declare every setting of `model` as a read-only parameter of the node and return the model with their values.
+    """Declare every setting of `model` as a parameter of the node and return the model with their values.
 
     Raises ConfigError that names the parameter, its value and what is allowed.
     """
@@ -118,8 +152,9 @@ def declare(node: Node, model: type[Model]) -> Model:
     for setting in config.settings(model):
         kind = _parameter_type(setting)
         default = _plain(setting.default)
+        descriptor = describe(setting, live=setting.name in _live(model))
         try:
-            node.declare_parameter(setting.name, kind if default == [] else default, describe(setting))
+            node.declare_parameter(setting.name, kind if default == [] else default, descriptor)
             value = node.get_parameter(setting.name).value
         except InvalidParameterTypeException as error:
             raise ConfigError(
@@ -136,14 +171,43 @@ def declare(node: Node, model: type[Model]) -> Model:
     return config.make(model, values, where=where)
 
 
-def describe(setting: Setting) -> ParameterDescriptor:
-    """The ROS descriptor of a setting: type, meaning, unit and range."""
+def follow(node: Node, settings: Model, take: Callable[[Model], None]) -> None:
+    """Let the live parameters of `settings` be changed: a value that does not do is refused with the reason.
+
+    `take` gets the new settings once they are accepted.
+    """
+    current = settings
+
+    def changed(changes: list[Parameter]) -> Model:
+        new = {change.name: _plain(change.value) for change in changes if change.name in _live(type(settings))}
+        return config.make(type(settings), current.model_dump() | new)
+
+    def check(changes: list[Parameter]) -> SetParametersResult:
+        try:
+            changed(changes)
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def accept(changes: list[Parameter]) -> None:
+        nonlocal current
+        new = changed(changes)
+        if new != current:
+            current = new
+            take(new)
+
+    node.add_on_set_parameters_callback(check)
+    node.add_post_set_parameters_callback(accept)
+
+
+def describe(setting: Setting, *, live: bool = False) -> ParameterDescriptor:
+    """The ROS descriptor of a setting: type, meaning, unit and range; `live` ones can be changed."""
     descriptor = ParameterDescriptor(
         name=setting.name,
         type=_parameter_type(setting).value,
         description=setting.describe(),
         additional_constraints=f"one of: {', '.join(setting.choices)}" if setting.choices else "",
-        read_only=True,
+        read_only=not live,
     )
     if setting.minimum is not None and setting.maximum is not None:
         if setting.type is int:
@@ -155,17 +219,31 @@ def describe(setting: Setting) -> ParameterDescriptor:
     return descriptor
 
 
+def _live(model: type[BaseModel]) -> frozenset[str]:
+    live: frozenset[str] = getattr(model, "live", frozenset())
+    return live
+
+
 def dump(nodes: dict[str, BaseModel]) -> str:
     """A commented ROS parameter file, by node; it applies in every namespace."""
     lines = [
         "# SPDX-FileCopyrightText: 2026 The g2_recon developers",
         "# SPDX-License-Identifier: Apache-2.0",
-        "# All parameters of all nodes, with the values of the robot G2, in every namespace. Written by",
+        "# All parameters of all nodes, with the values of the robot G2, in every namespace. What is `live` can be",
+        "# changed while the node runs (`ros2 param set`). Written by",
         "#   python -m g2_recon.nodes.parameters > config/g2.yaml",
     ]
     for name, model in nodes.items():
-        lines += ["", f"/**/{name}:", "  ros__parameters:", config.dump(model, indent=4).rstrip("\n")]
+        lines += ["", f"/**/{name}:", "  ros__parameters:", *_with_marks(model)]
     return "\n".join(lines) + "\n"
+
+
+def _with_marks(model: BaseModel) -> Iterator[str]:
+    """The lines of a model: a comment and a value in turn; comments say which parameters are live."""
+    lines = config.dump(model, indent=4).splitlines()
+    for comment, value in zip(lines[::2], lines[1::2], strict=True):
+        yield f"{comment}; live" if value.split(":")[0].strip() in _live(type(model)) else comment
+        yield value
 
 
 def _parameter_type(setting: Setting) -> Parameter.Type:

@@ -18,6 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece
 from g2_recon.nodes import conversions
+from g2_recon.nodes.journals import MessageJournal
 from g2_recon.nodes.parameters import ReconstructParameters
 from g2_recon.nodes.ros import LATCHED, reliable_qos, run
 from g2_recon.nodes.stage_node import StageNode, session_folder
@@ -48,9 +49,12 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         self.offer_trigger("~/save", self._save, group=beside)
         self.offer_trigger("~/reset", self._reset)
         self.offer_pause()
+        takers = {topic: (PointCloud2, partial(self._on_cloud, topic)) for topic in self.settings.cloud_topics}
+        self._journal = MessageJournal(self, self.settings.session_dir, "clouds.journal", takers)
+        self._journal.take_up()
         for topic in self.settings.cloud_topics:
             qos = reliable_qos(self.settings.queue_depth)
-            self.create_subscription(PointCloud2, topic, partial(self._on_cloud, topic), qos)
+            self.listen(PointCloud2, topic, takers[topic][1], qos)
 
     def waiting_for(self) -> str:
         """See StageNode."""
@@ -61,7 +65,6 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         return {"points": len(self._reconstructor), "reconstruction": self._stage or "idle"}
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
-        self.received[topic] += 1
         if message.header.frame_id != self.settings.map_frame:
             frames = f"it is in '{message.header.frame_id}', not '{self.settings.map_frame}'"
             self.drop("cloud in another frame", frames)
@@ -78,7 +81,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
             refused = self._reconstructor.add_cloud(usable, piece, topic=topic, leave_out=self.paused)
             if not refused:
                 self._newest_stamp = max(self._newest_stamp, message.header.stamp, key=conversions.stamp_seconds)
-        if refused:
+        if not refused:
+            self._journal.keep(topic, message)
+        else:
             self.drops["cloud while paused" if refused == "left out" else f"cloud {refused}"] += 1
 
     def _reconstruct(self) -> str:
@@ -125,6 +130,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         """Forget clouds and meshes; what is shown is cleared too."""
         with self._collecting:
             self._reconstructor.reset()
+        self._journal.clear()
         self._result = None
         head = conversions.header(self._newest_stamp, self.settings.map_frame)
         for publisher in (self._wire_mesh_publisher, self._mesh_publisher):

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from secrets import randbits
 from time import monotonic
 
@@ -27,6 +28,10 @@ from g2_recon.registration.registrar import RegisteredCloud, Registrar
 _RENEW_S, _RENEW_PERIOD_S = 0.005, 0.015
 # How often it is looked whether somebody subscribes who lacks what was before, s.
 _WATCH_PERIOD_S = 0.5
+
+# A pose that is so much older than the scans is missing.
+_LATE_POSE_S = 1.0
+_LEVEL = math.radians(45)
 
 
 class RegistrarNode(StageNode[RegistrarParameters]):
@@ -51,13 +56,33 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._renew_timer = self.create_timer(_RENEW_PERIOD_S, self._renew, clock=self.steady_clock)
         self._renew_timer.cancel()
         self.create_timer(_WATCH_PERIOD_S, self._watch_subscribers, clock=self.steady_clock)
-        self.create_subscription(Path, "trajectory", self._on_trajectory, LATCHED, raw=True)
-        self.create_subscription(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
-        self.create_subscription(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
+        self.listen(Path, "trajectory", self._on_trajectory, LATCHED, raw=True)
+        self.listen(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
+        self.listen(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
 
     def waiting_for(self) -> str:
         """See StageNode."""
-        return self.not_received("scan_vertical") or self._mount.waiting_for or self.not_received("pose")
+        lack = self.not_received("scan_vertical") or self._mount.waiting_for or self.not_received("pose")
+        return lack or self._late_pose() or self.stopped("scan_vertical")
+
+    def _late_pose(self) -> str:
+        scan, pose = self.inputs["scan_vertical"].newest_stamp, self.inputs["pose"].newest_stamp
+        if scan - pose < _LATE_POSE_S:
+            return ""
+        return f"no pose yet at {scan:.1f} s, the newest is of {pose:.1f} s: is the localizer paused, busy or gone?"
+
+    def doubts(self) -> Iterator[str]:
+        """See StageNode."""
+        if self._mount.tilt is not None and self._mount.tilt < _LEVEL:
+            yield (
+                f"the laser of `scan_vertical` lies level, tilted by {math.degrees(self._mount.tilt):.0f} deg only: "
+                "exchange it with that of `scan`, or correct its pose in `laser_pose` or TF"
+            )
+
+    def settings_changed(self) -> None:
+        """See StageNode."""
+        if self._registrar is not None:
+            self._registrar.configure(self.settings)
 
     def figures(self) -> dict[str, object]:
         """See StageNode."""
@@ -72,7 +97,6 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         return values
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self.received["pose"] += 1
         if not self._in_map_frame(message.header.frame_id, "pose"):
             return
         T_map_base = self.usable(conversions.pose_matrix, message.pose.pose, "pose")
@@ -87,7 +111,6 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._publish_registered()
 
     def _on_scan(self, message: LaserScan) -> None:
-        self.received["scan_vertical"] += 1
         scan = self.usable(conversions.scan_from_message, message, "scan")
         if scan is None:
             return
@@ -106,7 +129,6 @@ class RegistrarNode(StageNode[RegistrarParameters]):
 
     def _on_trajectory(self, data: bytes) -> None:
         """An empty trajectory says that the localizer started a new map, so that the old poses no longer hold."""
-        self.received["trajectory"] += 1
         told = self.usable(conversions.trajectory_from_serialized_path, data, "trajectory")
         if told is None:
             return

@@ -50,6 +50,11 @@ class Playback:
         """Wall time from `wall` until `stamp` is played."""
         return max(0, int((stamp - self.stamp(wall)) / self.rate))
 
+    def set_rate(self, rate: float, wall: int) -> None:
+        """Go on at another rate."""
+        self._stamp, self._wall = self.stamp(wall), wall
+        self.rate = rate
+
     def pause(self, paused: bool, wall: int) -> None:
         """Hold the time, or let it go on from where it was held."""
         if paused != self.paused:
@@ -83,6 +88,11 @@ class ReplayNode(StageNode[ReplayParameters]):
     def waiting_for(self) -> str:
         """See StageNode."""
         return "" if self._starts_at is not None else self._lacking()
+
+    def settings_changed(self) -> None:
+        """See StageNode."""
+        if self._playback is not None:
+            self._playback.set_rate(self.settings.rate, monotonic_ns())
 
     def figures(self) -> dict[str, object]:
         """See StageNode."""

@@ -48,10 +48,15 @@ def reliable_qos(depth: int) -> QoSProfile:
 
 
 def run(create: Callable[[], Node], args: Sequence[str] | None, *, threads: int = 1) -> int:
-    """Spin a node until it is told to stop, or its future `finished`, if it has one, is done; the exit code.
+    """Spin a node as `run_together` does."""
+    return run_together([create], args, threads=threads)
 
-    0 after SIGINT, SIGTERM, a shutdown or a finished node; 1, with one line, where the node cannot start because of
-    what it was given.
+
+def run_together(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, *, threads: int = 1) -> int:
+    """Spin nodes until they are told to stop, or the future `finished` of one that has it is done; the exit code.
+
+    0 after SIGINT, SIGTERM, a shutdown or a finished node; 1, with one line, where a node cannot start because of what
+    it was given.
     """
     with _interrupted_once():
         return _run(create, args, threads)
@@ -80,19 +85,20 @@ def _interrupted_once() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _run(create: Callable[[], Node], args: Sequence[str] | None, threads: int) -> int:
+def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threads: int) -> int:
     try:
         rclpy.init(args=None if args is None else list(args))
     except RuntimeError as error:
         rclpy.logging.get_logger("g2_recon").fatal(" ".join(str(error).split()))
         return 1
-    node = None
+    nodes: list[Node] = []
     executor: Executor | None = None
     try:
-        node = create()
+        nodes.extend(make() for make in create)
         executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
-        executor.add_node(node)
-        finished = getattr(node, "finished", None)
+        for node in nodes:
+            executor.add_node(node)
+        finished = next((node.finished for node in nodes if hasattr(node, "finished")), None)
         if finished is None:
             executor.spin()
         else:
@@ -109,7 +115,7 @@ def _run(create: Callable[[], Node], args: Sequence[str] | None, threads: int) -
     finally:
         if executor is not None:
             executor.shutdown(timeout_sec=1.0)
-        if node is not None:
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0

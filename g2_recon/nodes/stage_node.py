@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+import math
+import os
+import re
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -18,11 +21,13 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
 from g2_recon.nodes import parameters
+from g2_recon.nodes.inputs import Input
 from g2_recon.nodes.ros import Transforms
 
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -31,6 +36,12 @@ Content = TypeVar("Content")
 
 # Time that jumps back by more than this is a recording that starts again; less is disorder of a recording.
 _JUMP_S = 1.0
+# How often diagnostics come; what they say is also logged when they have said it so many times: at the start,
+# everything is missing.
+_PERIOD_S = 1.0
+_LOGGED_AFTER = 4
+# A stream that has been silent for so long has stopped.
+_SILENT_S = 2.0
 
 
 class StageNode(Node, Generic[Settings]):
@@ -39,28 +50,66 @@ class StageNode(Node, Generic[Settings]):
     def __init__(self, name: str, model: type[Settings]) -> None:
         """Raises ConfigError where a parameter is wrong."""
         super().__init__(name)
-        self.settings = parameters.declare(self, model)
-        self.received: Counter[str] = Counter()
+        declared = parameters.declare(self, model)
+        self.settings = parameters.effective(declared)
+        parameters.follow(self, declared, self._take_settings)
+        self.inputs: dict[str, Input] = {}
         self.drops: Counter[str] = Counter()
+        self.faults: dict[str, str] = {}
         self.paused = False
         self._said: set[str] = set()
+        self._lasting: Counter[str] = Counter()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Not on ROS time: without a /clock, diagnostics are what one needs.
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=self.steady_clock)
+        self._diagnostics_timer = self.create_timer(_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
 
     def waiting_for(self) -> str:
         """What the node lacks to go on, in words; empty while it goes on."""
         return ""
 
+    def settings_changed(self) -> None:
+        """Called when `settings` are new ones; only the live parameters can differ."""
+
+    def doubts(self) -> Iterable[str]:
+        """What is most likely wrong though the node goes on, in words that tell what to do."""
+        return ()
+
     def figures(self) -> dict[str, object]:
         """What else the diagnostics tell, by name."""
         return {}
+
+    @property
+    def received(self) -> Counter[str]:
+        """How many messages have come, by topic."""
+        return Counter({topic: source.count for topic, source in self.inputs.items()})
+
+    def listen(
+        self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile, *, raw: bool = False
+    ) -> None:
+        """Subscribe; what comes is counted before `take` gets it, and the diagnostics tell what is missing.
+
+        raw: `take` gets the bytes of the message.
+        """
+        source = self.inputs[topic] = Input(self, kind, topic, qos)
+
+        def receive(message: Any) -> None:
+            source.note(message)
+            take(message)
+            source.taken()
+
+        self.create_subscription(kind, topic, receive, qos, event_callbacks=source.events(), raw=raw)
 
     def drop(self, reason: str, detail: str = "") -> None:
         """Count something that is not used; the first of each reason is also logged."""
         self.drops[reason] += 1
         self.say_once(reason, f"dropped: {reason}{': ' if detail else ''}{detail}; more such are only counted")
+
+    def fail(self, what: str, text: str) -> None:
+        """Say at once, and from now on in the diagnostics, that something does not work any more."""
+        if what not in self.faults:
+            self.get_logger().error(text)
+        self.faults[what] = text
 
     def usable(self, convert: Callable[[Message], Content], message: Message, what: str) -> Content | None:
         """What a conversion makes of a message, or None, counted, where that raises InputError."""
@@ -78,10 +127,14 @@ class StageNode(Node, Generic[Settings]):
 
     def not_received(self, topic: str) -> str:
         """Words for a topic on which nothing has come yet; empty if something has."""
-        if self.received[topic]:
-            return ""
-        lack = "nothing came yet" if self.count_publishers(topic) else "no publisher"
-        return f"waiting for `{self.resolve_topic_name(topic)}`: {lack}"
+        return self.inputs[topic].lack()
+
+    def stopped(self, topic: str) -> str:
+        """Words for a stream that has not come yet or does not come any more; empty while it does."""
+        silent = self.inputs[topic].silent_for
+        if not self.inputs[topic].count or silent < _SILENT_S:
+            return self.not_received(topic)
+        return f"`{self.inputs[topic].topic}` has stopped: nothing came for {silent:.0f} s"
 
     def offer_trigger(self, name: str, action: Callable[[], str], *, group: CallbackGroup | None = None) -> None:
         """A Trigger service: success with the text that `action` returns, or failure with that of its InputError."""
@@ -114,20 +167,64 @@ class StageNode(Node, Generic[Settings]):
 
         self.create_service(SetBool, "~/pause", answer)
 
+    def _take_settings(self, settings: Settings) -> None:
+        self.settings = parameters.effective(settings)
+        self.settings_changed()
+
     def _publish_diagnostics(self) -> None:
+        for source in self.inputs.values():
+            source.tick()
         waiting = self.waiting_for()
+        doubts = "; ".join(filter(None, [self._no_clock(), *([waiting] if waiting else self.doubts())]))
+        self._log_what_lasts(doubts)
+        level = DiagnosticStatus.ERROR if self.faults else DiagnosticStatus.WARN if doubts else DiagnosticStatus.OK
+        state = "paused" if self.paused else "waiting" if waiting else "running"
         status = DiagnosticStatus(
             name=self.get_fully_qualified_name(),
-            level=DiagnosticStatus.WARN if waiting else DiagnosticStatus.OK,
-            message=waiting or ("paused" if self.paused else "running"),
+            level=level,
+            message="; ".join(filter(None, [*self.faults.values(), doubts])) or state,
         )
-        values: dict[str, object] = {f"received {topic}": count for topic, count in self.received.items()}
+        values: dict[str, object] = {"state": state}
+        for source in self.inputs.values():
+            values |= source.figures()
         values |= {f"dropped: {reason}": count for reason, count in self.drops.items()}
+        values |= {
+            f"dropped: `{topic}` lost by the network": source.lost
+            for topic, source in self.inputs.items()
+            if source.lost
+        }
         values |= self.figures()
+        values["memory"] = f"{memory_mb():.0f} MB"
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+
+    def _no_clock(self) -> str:
+        """Words for simulated time that nobody gives."""
+        simulated = self.get_parameter("use_sim_time").value
+        if not simulated or self.get_clock().now().nanoseconds or self.count_publishers("/clock"):
+            return ""
+        return (
+            "use_sim_time is true, but `/clock` has no publisher: replay with a clock (`ros2 bag play --clock`, or "
+            "replay_node), or set use_sim_time to false"
+        )
+
+    def _log_what_lasts(self, text: str) -> None:
+        """Log, once, what the diagnostics have said for some time, whatever the numbers in it."""
+        key = re.sub(r"[\d.]+", "#", text)
+        self._lasting = Counter({key: self._lasting[key] + 1}) if text else Counter()
+        if self._lasting[key] == _LOGGED_AFTER:
+            self.say_once(key, text)
+
+
+def memory_mb() -> float:
+    """Memory that this process has in RAM, MB; 0 where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def session_folder(session_dir: str) -> Path:
@@ -148,15 +245,29 @@ class LaserMount:
         self._T_base_laser = se3.from_xyz_rpy(laser_pose) if laser_pose else None
         self.waiting_for = ""
 
+    @property
+    def tilt(self) -> float | None:
+        """The angle in rad between the plane of the scans and the floor, from 0 to pi/2; None while not known."""
+        T = self._T_base_laser
+        return None if T is None else math.acos(min(1.0, abs(float(T[2, 2]))))
+
     def find(self, laser_frame: str) -> NDArray[np.float64] | None:
         """T_base_laser (4, 4), or None, said once, while it is not known."""
         if self._T_base_laser is None:
-            self._T_base_laser = self._transforms.look_up(self._base_frame, laser_frame)
+            self._T_base_laser = self._look_up(laser_frame)
         lack = f"no transform {self._base_frame} <- {laser_frame}: set `laser_pose` or publish it"
         self.waiting_for = lack if self._T_base_laser is None else ""
         if self.waiting_for:
             self._node.say_once("laser_pose", lack)
         return self._T_base_laser
+
+    def _look_up(self, laser_frame: str) -> NDArray[np.float64] | None:
+        """T_base_laser as TF has it; drivers leave out the prefix that other frames of the robot have."""
+        found = self._transforms.look_up(self._base_frame, laser_frame)
+        prefix = getattr(self._node.settings, "frame_prefix", "")
+        if found is None and prefix:
+            found = self._transforms.look_up(self._base_frame, prefix + laser_frame)
+        return found
 
 
 class JumpDetector:

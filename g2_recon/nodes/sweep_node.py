@@ -53,10 +53,10 @@ class SweepNode(StageNode[SweepParameters]):
         self.offer_trigger("~/save", self._save)
         if self.settings.laser_pose:
             self._start_assembler("")
-        self.create_subscription(Odometry, "odom", self._on_odometry, sensor_qos(depth))
-        self.create_subscription(PointCloud2, "sweep", self._on_sweep, sensor_qos(depth))
-        self.create_subscription(JointState, "joint_states", self._on_joints, sensor_qos(depth))
-        self.create_subscription(LaserScan, "scan_tilt", self._on_scan, sensor_qos(depth))
+        self.listen(Odometry, "odom", self._on_odometry, sensor_qos(depth))
+        self.listen(PointCloud2, "sweep", self._on_sweep, sensor_qos(depth))
+        self.listen(JointState, "joint_states", self._on_joints, sensor_qos(depth))
+        self.listen(LaserScan, "scan_tilt", self._on_scan, sensor_qos(depth))
 
     def waiting_for(self) -> str:
         """See StageNode."""
@@ -77,7 +77,6 @@ class SweepNode(StageNode[SweepParameters]):
         return values
 
     def _on_odometry(self, message: Odometry) -> None:
-        self.received["odom"] += 1
         odometry = self.usable(conversions.odometry_from_message, message, "odometry")
         if odometry is None:
             return
@@ -89,7 +88,6 @@ class SweepNode(StageNode[SweepParameters]):
         self._place_waiting()
 
     def _on_sweep(self, message: PointCloud2) -> None:
-        self.received["sweep"] += 1
         cloud = self.usable(conversions.cloud_from_message, message, "sweep")
         if cloud is None:
             return
@@ -103,7 +101,6 @@ class SweepNode(StageNode[SweepParameters]):
         self._place_waiting()
 
     def _on_joints(self, message: JointState) -> None:
-        self.received["joint_states"] += 1
         names = list(message.name)
         joint = self.settings.tilt_joint or (names[0] if names else "")
         if joint not in names or names.index(joint) >= len(message.position):
@@ -115,7 +112,6 @@ class SweepNode(StageNode[SweepParameters]):
             self._place_assembled()
 
     def _on_scan(self, message: LaserScan) -> None:
-        self.received["scan_tilt"] += 1
         scan = self.usable(conversions.scan_from_message, message, "scan")
         if scan is None:
             return

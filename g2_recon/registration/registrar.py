@@ -91,6 +91,10 @@ class Registrar:
         self._kept = 0
         self.released = 0
 
+    def configure(self, config: RegistrationConfig) -> None:
+        """Take other settings for the scans that are not placed yet."""
+        self._config = config
+
     @property
     def drops(self) -> dict[str, int]:
         """How many scans were given up and how many poses were not used, by reason."""

@@ -57,7 +57,7 @@ def test_every_parameter_says_what_it_means(declared, name):
         descriptor = node.describe_parameter(setting.name)
         assert setting.meaning and setting.meaning in descriptor.description
         assert setting.unit in descriptor.description
-        assert descriptor.read_only
+        assert descriptor.read_only == (setting.name not in MODELS[name].live)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -101,9 +101,68 @@ def test_an_empty_pose_is_no_pose(declared):
     assert values.laser_pose == ()
 
 
-def test_parameters_cannot_be_changed_while_the_node_runs(declared):
-    _, node = declared("localizer_node")
-    assert not node.set_parameters([Parameter("max_range", value=10.0)])[0].successful
+@pytest.mark.parametrize("name", MODELS)
+def test_what_is_live_is_a_parameter(name):
+    assert MODELS[name].live <= set(MODELS[name].model_fields)
+
+
+@pytest.fixture
+def followed(declared):
+    """`followed(name)`: a node whose parameters can be changed, and the settings that it takes."""
+
+    def follow(name, *arguments):
+        settings, node = declared(name, *arguments)
+        taken = []
+        parameters.follow(node, settings, taken.append)
+        return node, taken
+
+    return follow
+
+
+def test_what_is_not_live_cannot_be_changed_while_the_node_runs(followed):
+    node, taken = followed("localizer_node")
+    answer = node.set_parameters([Parameter("max_range", value=10.0)])[0]
+    assert not answer.successful and "read-only" in answer.reason
+    assert taken == []
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "value"),
+    [
+        ("localizer_node", "odometry_wait", 0.5),
+        ("registrar_node", "max_wait", 5.0),
+        ("reconstruct_node", "spacing", 0.3),
+        ("reconstruct_node", "mode", "paper"),
+        ("replay_node", "rate", 2.5),
+    ],
+)
+def test_a_live_parameter_is_changed(followed, name, parameter, value):
+    node, taken = followed(name)
+    assert node.set_parameters([Parameter(parameter, value=value)])[0].successful
+    assert [getattr(settings, parameter) for settings in taken] == [value]
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "value", "told"),
+    [
+        ("localizer_node", "odometry_wait", 11.0, "odometry_wait out of range"),
+        ("reconstruct_node", "spacing", float("nan"), "spacing"),
+        ("reconstruct_node", "mode", "best", "mode: Input should be 'solid' or 'paper', got 'best'"),
+        ("reconstruct_node", "rows", 200, None),
+        ("registrar_node", "min_range", 10.0, None),
+        ("replay_node", "rate", "fast", "expected 'Type.DOUBLE'"),
+    ],
+)
+def test_a_value_that_does_not_do_is_refused_with_the_reason_and_changes_nothing(
+    followed, name, parameter, value, told
+):
+    arguments = {"rows": ("-p", "columns:=100"), "min_range": ("-p", "max_range:=5.0")}.get(parameter, ())
+    reasons = {"rows": "rows x columns", "min_range": "min_range must be smaller than max_range"}
+    node, taken = followed(name, *arguments)
+    before = node.get_parameter(parameter).value
+    answer = node.set_parameters([Parameter(parameter, value=value)])[0]
+    assert not answer.successful and (told or reasons[parameter]) in answer.reason
+    assert (node.get_parameter(parameter).value, taken) == (before, [])
 
 
 @pytest.mark.parametrize("namespace", ["", "robot1", "site/robot1"])
