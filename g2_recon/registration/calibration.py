@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from g2_recon.config import RegistrationConfig
 from g2_recon.errors import InputError
@@ -262,7 +264,8 @@ class _Problem:
         """Covariance (6, 6) by the jackknife: how far the pose moves, planes and all, without parts of the drive.
 
         Points of the same time err together, by the error of the trajectory, and so go together (delete-a-group
-        jackknife; Kott, "The delete-a-group jackknife", Journal of Official Statistics 17(4), 2001).
+        jackknife; Kott, "The delete-a-group jackknife", Journal of Official Statistics 17(4), 2001). It is as wide as
+        it takes for a region of 95 % by the normal distribution to be one.
         """
         directions, _ = self._observed()
         block = ((self._times - self._times.min()) / _ALIKE_S).astype(np.int64)
@@ -275,8 +278,18 @@ class _Problem:
         total = moments.sum(axis=1)
         poses = np.array([_solution(total - moments[:, part]) for part in range(parts)])
         off = (poses - poses.mean(axis=0)) @ directions.T
-        spread = off.T @ off * ((parts - 1) / parts) + _UNKNOWN**2 * (np.eye(6) - directions @ directions.T)
+        spread = off.T @ off * ((parts - 1) / parts * _widened(parts, poses.shape[1])) + _UNKNOWN**2 * (
+            np.eye(6) - directions @ directions.T
+        )
         return np.asarray(_OBSERVED[:, None] * spread * _OBSERVED + np.diag(_AT_BEST**2))
+
+
+def _widened(parts: int, axes: int) -> float:
+    """By what a covariance from so few parts must be multiplied to be used as if it was known (Hotelling's T^2)."""
+    if axes == 0 or parts <= axes + 1:
+        return 1.0
+    hotelling = axes * (parts - 1) / (parts - axes) * f_distribution.ppf(0.95, axes, parts - axes)
+    return float(hotelling / chi2.ppf(0.95, axes))
 
 
 def _solution(moments: Float) -> Float:
