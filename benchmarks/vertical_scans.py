@@ -71,7 +71,7 @@ once a second, no refinement at the end; the cloud that somebody has who takes i
 FOLLOW_NOTE = """\
 bags/first_floor live, with an error in every keyframe that a closed loop takes back: after 150 s all keyframes
 until then are moved, the last by 0.5 m and 2 deg, earlier ones in proportion. Distance of the points to where the
-trajectory at the end has them. Points handed out anew beside all points; longest time for one piece."""
+trajectory at the end has them; pieces handed out anew, and the longest time for one."""
 CALIBRATION_NOTE = f"""\
 From a start {START_DEG:g} deg and {100 * START_M:g} cm off, about and along random axes, with a laser that is mounted
 otherwise each time (up to 5 cm and 10 deg an axis). Largest error of the axes that are said to be observed: position
