@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel
 from rich.console import Console
 from rich.logging import RichHandler
@@ -188,7 +189,7 @@ def run_calibrate(options: argparse.Namespace, console: Console) -> None:
         text = "\n".join(
             [
                 f"# pose of the vertical laser, by g2-recon calibrate {options.recording.name}",
-                *(f"# not observed, as at the start: {text}" for text in found.unobserved),
+                *(f"# not observed, as at the start: {what}" for what in found.unobserved),
                 "registration:",
                 f"  laser_pose: {pose}",
                 "",
@@ -198,7 +199,7 @@ def run_calibrate(options: argparse.Namespace, console: Console) -> None:
         progress("writing", 1, 1)
     rows: dict[str, Any] = {
         "laser_pose": " ".join(f"{value:.5f}" for value in pose),
-        "moved from the start": _metres_and_degrees(found.T_base_laser @ se3.inverse(found.start)),
+        "moved from the start": _metres_and_degrees(found.start, found.T_base_laser),
         **{f"sigma {axis}": said for axis, said in zip(AXES, _sigmas(found), strict=True)},
         "thickness of surfaces": f"{100 * found.thickness:.2f} cm",
         **{f"dropped: {reason}": count for reason, count in recording.drops.items()},
@@ -215,9 +216,11 @@ def _sigmas(found: Calibration) -> list[str]:
     return [f"{value:.1f} mm" for value in mm] + [f"{value:.3f} deg" for value in degrees]
 
 
-def _metres_and_degrees(T: np.ndarray) -> str:
-    turn = np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1.0, 1.0)))
-    return f"{100 * np.linalg.norm(T[:3, 3]):.2f} cm, {turn:.2f} deg"
+def _metres_and_degrees(start: NDArray[np.float64], end: NDArray[np.float64]) -> str:
+    """How far apart two poses (4, 4) are, in words."""
+    cos = (np.trace(start[:3, :3].T @ end[:3, :3]) - 1) / 2
+    metres = np.linalg.norm(end[:3, 3] - start[:3, 3])
+    return f"{100 * metres:.2f} cm, {np.degrees(np.arccos(np.clip(cos, -1.0, 1.0))):.2f} deg"
 
 
 def run_merge(options: argparse.Namespace, console: Console) -> None:

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from g2_recon.config import RegistrationConfig
 from g2_recon.errors import InputError
@@ -46,7 +48,7 @@ _FEWEST_OF_PATCH = 12
 # Errors of the trajectory are alike for so long.
 _ALIKE_S, _PARTS = 3.0, 20
 # Surfaces that face up so near to the height of the robot's frame are the floor.
-_FLOOR_M, _FEWEST_OF_FLOOR, _FLOOR_SIGMA_M = 0.25, 200, 0.005
+_FLOOR_M, _FEWEST_OF_FLOOR = 0.25, 200
 # Cubes lie askew: where a wall is the border of two, noise would tell to which one a point belongs.
 _ASKEW = Rotation.from_rotvec([0.5, 0.7, 0.9]).as_matrix()
 # Noise of a range, and how far the trajectory is off from scan to scan, in proportion. A beam so oblique tells nothing.
@@ -120,7 +122,7 @@ def calibrate(
         progress("calibration", index + 1, len(_ROUNDS))
     problem = _Problem(beams, T, normals, flat, *_ROUNDS[-1], start)
     covariance = problem.covariance()
-    return Calibration(T, start, covariance, problem.thickness, _unobserved(covariance, problem.floor), problem.floor)
+    return Calibration(T, start, covariance, problem.thickness, _unobserved(covariance), problem.floor)
 
 
 def _beams(scans: Sequence[Scan], trajectory: Trajectory, config: RegistrationConfig) -> _Beams:
@@ -204,6 +206,8 @@ class _Problem:
         points = beams.in_map(T)
         normals = np.einsum("nij,nj->ni", beams.rotations, normals @ T[:3, :3].T)
         patch, count = _patches(points, normals, flat, edge)
+        if not count:
+            raise InputError("no flat surface was seen well enough", advice="drive past walls, no faster than it scans")
         inside = patch >= 0
         rows, patch = np.flatnonzero(inside), patch[inside]
         points, normals = points[rows], normals[rows]
@@ -262,7 +266,8 @@ class _Problem:
         """Covariance (6, 6) by the jackknife: how far the pose moves, planes and all, without parts of the drive.
 
         Points of the same time err together, by the error of the trajectory, and so go together (delete-a-group
-        jackknife; Kott, "The delete-a-group jackknife", Journal of Official Statistics 17(4), 2001).
+        jackknife; Kott, "The delete-a-group jackknife", Journal of Official Statistics 17(4), 2001). It is as wide as
+        it takes for a region of 95 % by the normal distribution to be one.
         """
         directions, _ = self._observed()
         block = ((self._times - self._times.min()) / _ALIKE_S).astype(np.int64)
@@ -275,8 +280,17 @@ class _Problem:
         total = moments.sum(axis=1)
         poses = np.array([_solution(total - moments[:, part]) for part in range(parts)])
         off = (poses - poses.mean(axis=0)) @ directions.T
-        spread = off.T @ off * ((parts - 1) / parts) + _UNKNOWN**2 * (np.eye(6) - directions @ directions.T)
+        spread = off.T @ off * ((parts - 1) / parts * _widened(parts, poses.shape[1]))
+        spread += _UNKNOWN**2 * (np.eye(6) - directions @ directions.T)
         return np.asarray(_OBSERVED[:, None] * spread * _OBSERVED + np.diag(_AT_BEST**2))
+
+
+def _widened(parts: int, axes: int) -> float:
+    """By what a covariance from so few parts must be multiplied to be used as if it was known (Hotelling's T^2)."""
+    if axes == 0 or parts <= axes + 1:
+        return 1.0
+    hotelling = axes * (parts - 1) / (parts - axes) * f_distribution.ppf(0.95, axes, parts - axes)
+    return float(hotelling / chi2.ppf(0.95, axes))
 
 
 def _solution(moments: Float) -> Float:
@@ -408,7 +422,7 @@ def _moved(T: Float, step: Float) -> Float:
     return result
 
 
-def _unobserved(covariance: Float, floor: bool) -> tuple[str, ...]:
+def _unobserved(covariance: Float) -> tuple[str, ...]:
     sigma = np.sqrt(np.diag(covariance))
     why = (
         "x, forward: no wall was seen at headings that differ enough",

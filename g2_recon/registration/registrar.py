@@ -129,7 +129,7 @@ class Registrar:
     def add_scan(self, scan: Scan) -> None:
         """Place a scan, now or when its poses have come."""
         if scan.stamp in self._stamps:
-            self._drops["same stamp as a scan before"] += 1
+            self._drops["duplicate: its stamp came before"] += 1
             return
         self._stamps[scan.stamp] = None
         if len(self._stamps) > _STAMPS_KEPT:
@@ -222,9 +222,8 @@ class Registrar:
         if not isinstance(placed, Cloud):
             self._drops[placed] += 1
             return
-        if self._keep_scans:
-            self._keep(scan, first, last)
-        self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), self._open))
+        number = self._keep(scan, first, last) if self._keep_scans else self._open
+        self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), number))
 
     def _place(self, scan: Scan, poses: Poses) -> Cloud | str:
         """The points of a scan, or why it cannot be placed."""
@@ -237,11 +236,12 @@ class Registrar:
         points, sensor, known = place_beams(in_laser, times, *poses, self._T_base_laser, self._config.max_gap)
         return Cloud(points, sensor) if known.all() else f"no pose within {self._config.max_gap:g} s"
 
-    def _keep(self, scan: Scan, first: float, last: float) -> None:
-        """Add a scan to the piece that is open; the oldest pieces are released where there are too many scans."""
+    def _keep(self, scan: Scan, first: float, last: float) -> int:
+        """Add a scan to the piece that is open, whose number this is; the oldest are released if there are too many."""
         if self._open in self._pieces and self._pieces[self._open].beams + len(scan.ranges) > _MOST_BEAMS:
             self._begin_piece()
-        piece = self._pieces.setdefault(self._open, _Piece())
+        taken_by = self._open
+        piece = self._pieces.setdefault(taken_by, _Piece())
         piece.scans.append(scan)
         piece.beams += len(scan.ranges)
         piece.first, piece.last = min(piece.first, first), max(piece.last, last)
@@ -252,6 +252,9 @@ class Registrar:
             self._to_renew.pop(number, None)
             self._kept -= count
             self.released += count
+            # A piece that is begun anew would replace what is released.
+            self._open = max(self._open, number + 1)
+        return taken_by
 
     def _begin_piece(self) -> None:
         if self._open in self._pieces:

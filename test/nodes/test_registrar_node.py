@@ -121,7 +121,7 @@ def test_a_duplicate_scan_is_counted(drive):
     robot.scan(100.0)
     robot.scan(100.0)
     robot.pose(100.1)
-    robot.wait_until(lambda: value(robot.diagnostics, "dropped: scan, same stamp as a scan before") == "1")
+    robot.wait_until(lambda: value(robot.diagnostics, "dropped: scan, duplicate: its stamp came before") == "1")
     assert len(robot.clouds) == 1
 
 

@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,6 +80,14 @@ def test_too_little_to_see_is_refused():
         calibrate(found.scans[:3], found.trajectory, mount(), RegistrationConfig())
     with pytest.raises(InputError, match="only 0 beams"):
         calibrate([], found.trajectory, mount(), RegistrationConfig())
+
+
+def test_a_recording_without_a_flat_surface_is_refused():
+    found = vertical_drive(ROOM, STRAIGHT_LEGS, mount(), 0)
+    rng = np.random.default_rng(0)
+    bushes = [replace(scan, ranges=rng.uniform(1, 8, 181).astype(np.float32)) for scan in found.scans]
+    with pytest.raises(InputError, match="flat surface"):
+        calibrate(bushes, found.trajectory, mount(), RegistrationConfig())
 
 
 def test_a_start_that_is_no_rotation_is_refused():

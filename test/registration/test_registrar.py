@@ -107,7 +107,7 @@ def test_a_scan_that_comes_again_is_counted_and_not_placed_twice():
     for stamp in (0.1, 0.15, 0.1):
         stage.add_scan(scan(stamp))
     assert len(stage.take()) == 2
-    assert stage.drops == {"same stamp as a scan before": 1}
+    assert stage.drops == {"duplicate: its stamp came before": 1}
 
 
 def test_a_single_pose_far_ahead_is_not_used_and_two_are():
@@ -261,6 +261,17 @@ def test_the_oldest_scans_are_released_and_stay_where_they_are():
     assert stage.kept + stage.released == 31
     assert stage.follow(path([(k, 1, 0) for k in range(4)]))
     assert [round(renewed.stamp, 6) for renewed in iter(stage.renew, None)] == [3.0]
+
+
+def test_a_released_scan_is_not_replaced_by_later_ones_of_its_piece():
+    stage = Registrar(RegistrationConfig(kept_scans=1), UP, keep_scans=True)
+    for step in range(5):
+        stage.add_pose(0.1 * step, moving(0.1 * step))
+        stage.add_scan(scan(0.1 * step))
+    stage.renew_all()
+    cloud, anew = collect(stage)
+    assert sorted(set(cloud.points[:, 0].round(6))) == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert anew <= 1
 
 
 def test_pieces_are_small_though_the_robot_stands_and_no_keyframe_comes():
