@@ -20,6 +20,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
+from threading import RLock
 from typing import NoReturn
 from uuid import uuid4
 from zlib import crc32
@@ -46,6 +47,8 @@ class Journal:
         refuses, the file is none of ours, or another process has it open.
         """
         self.path = Path(path)
+        # `sync` may run in another thread; its file must not be closed under its hands.
+        self._changing = RLock()
         self._file = self._open()
         try:
             self._end, self.damaged = self._check()
@@ -142,10 +145,13 @@ class Journal:
 
     def sync(self) -> None:
         """Wait until all that was appended is on the disk. Raises JournalError where the file system refuses."""
-        try:
-            os.fdatasync(self._file)
-        except OSError as error:
-            self._refuse(error)
+        with self._changing:
+            if self._file < 0:
+                return
+            try:
+                os.fdatasync(self._file)
+            except OSError as error:
+                self._refuse(error)
 
     def rewrite(self, payloads: Iterable[bytes]) -> None:
         """Put these records in the place of all, at once: a killed writer leaves either. Raises JournalError.
@@ -168,8 +174,9 @@ class Journal:
         finally:
             with suppress(OSError):
                 beside.unlink(missing_ok=True)
-        os.close(self._file)
-        self._file, self._end, self.damaged = new._file, new._end, 0
+        with self._changing:
+            os.close(self._file)
+            self._file, self._end, self.damaged = new._file, new._end, 0
 
     def clear(self) -> None:
         """Begin anew; what there was is kept beside, in a file of the same name with the ending `.before`.
@@ -180,15 +187,17 @@ class Journal:
             self.path.replace(self.path.with_name(self.path.name + ".before"))
         except OSError as error:
             self._refuse(error)
-        self.close()
-        self._file = self._open()
-        self._end, self.damaged = self._check()
+        with self._changing:
+            self.close()
+            self._file = self._open()
+            self._end, self.damaged = self._check()
 
     def close(self) -> None:
         """Close the file, so that another process may open it."""
-        if self._file >= 0:
-            os.close(self._file)
-        self._file = -1
+        with self._changing:
+            if self._file >= 0:
+                os.close(self._file)
+            self._file = -1
 
     def _write(self, content: bytes, begin: int) -> None:
         view = memoryview(content)

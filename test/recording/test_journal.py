@@ -6,6 +6,7 @@ import errno
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 
@@ -173,6 +174,18 @@ def test_a_cleared_journal_is_empty_and_can_be_gone_on_with_and_what_was_in_it_i
     journal.close()
     assert read(tmp_path / "a") == [b"new"]
     assert read(tmp_path / "a.before") == PAYLOADS
+
+
+def test_it_is_brought_to_the_disk_in_another_thread_whatever_becomes_of_it_meanwhile(tmp_path):
+    journal = Journal(tmp_path / "a")
+    with ThreadPoolExecutor(1) as disk:
+        syncs = [disk.submit(journal.sync) for _ in range(200)]
+        for number in range(20):
+            journal.append(b"some")
+            journal.clear()
+            journal.rewrite([bytes([number])])
+        journal.close()
+    assert [sync.exception() for sync in syncs] == [None] * 200
 
 
 def test_all_records_are_rewritten_at_once(tmp_path):
