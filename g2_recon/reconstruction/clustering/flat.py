@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.union_find import groups, link
 from g2_recon.reconstruction.surface_points import SurfacePoints, first_of_runs
 
 Float = NDArray[np.float64]
@@ -334,32 +335,9 @@ def _connected(neighbors, label):  # type: ignore[no-untyped-def]
     parent = np.arange(len(label))
     for i in range(len(label)):
         for j in neighbors[i]:
-            if label[j] != label[i]:
-                continue
-            one, other = _root(parent, i), _root(parent, j)
-            # The earliest point is the root, so that the numbers do not depend on the order of links.
-            if one < other:
-                parent[other] = one
-            else:
-                parent[one] = other
-    number = np.empty(len(label), np.int64)
-    count = 0
-    for i in range(len(label)):
-        root = _root(parent, i)
-        if root == i:
-            number[i] = count
-            count += 1
-        else:
-            number[i] = number[root]
-    return number
-
-
-@numba.njit(cache=True, nogil=True)
-def _root(parent, i):  # type: ignore[no-untyped-def]
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
+            if label[j] == label[i]:
+                link(parent, i, j)
+    return groups(parent)[0]
 
 
 def _without_scraps(
