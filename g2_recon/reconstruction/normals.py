@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_tree import BLOCK, PointTree, nearest_to_block
-from g2_recon.reconstruction.chunks import in_chunks
 
 Float = NDArray[np.float64]
 

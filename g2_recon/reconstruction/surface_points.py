@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.point_tree import PointTree, point_tree
-from g2_recon.reconstruction.chunks import in_chunks
 from g2_recon.reconstruction.normals import (
     SECTORS,
     LocalPlanes,
