@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.geometry.chunks import taken
 from g2_recon.geometry.selection import select
 
 Float = NDArray[np.float64]
@@ -50,7 +51,7 @@ def point_tree(points: Float, rows: Int | None = None, *, workers: int = 1) -> P
     Points that are near each other in the array make it faster. It does not depend on `workers`.
     """
     number = np.arange(len(points)) if rows is None else rows.astype(np.int64)
-    sorted_points = points[number]
+    sorted_points = taken(points, number, workers)
     filled = -(-len(number) // BLOCK)
     depth = (filled - 1).bit_length()
     boxes = np.zeros((2 << depth, 6))
@@ -107,9 +108,10 @@ def _fill(points, leaves):  # type: ignore[no-untyped-def]
 def nearest_to_block(tree, block, beyond, squared, places, found):  # type: ignore[no-untyped-def]
     """Find the k points nearest to each of a few places near each other (B, 3), of those nearer than the limit.
 
-    beyond: m^2, what a squared distance must be below. squared, places: (B, k), filled in with the squared distances
-    (m^2), ascending, and with places in the tree. found: (B,), filled in with how many there are. Of points as far the
-    one with the lowest number comes first; where k or more are at distance 0, any of these are taken, always the same.
+    beyond: m^2, finite, what a squared distance must be below. squared, places: (B, k), filled in with the squared
+    distances (m^2), ascending, and with places in the tree. found: (B,), filled in with how many there are. Of points
+    as far the one with the lowest number comes first; where k or more are at distance 0, any of these are taken, always
+    the same.
     """
     boxes, leaves, number = tree
     leaf_count, k = len(boxes) // 2, squared.shape[1]

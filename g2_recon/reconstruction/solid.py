@@ -47,7 +47,7 @@ def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: P
     """
     workers = config.workers or os.cpu_count() or 1
     frame = own_frame(cloud.points)
-    surface = _reported(lambda: find_surface(frame.of(cloud), config, workers), "normals", progress)
+    surface = _reported(lambda: find_surface(frame.of(cloud, workers=workers), config, workers), "normals", progress)
     clusters = _reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
     submaps, owner = build_submaps(surface, clusters, config, workers, progress)
     mesh = _reported(lambda: mesh_of_submaps(surface, submaps, owner, config, workers), "joining", progress)

@@ -27,7 +27,7 @@ def test_they_take_single_precision_and_no_face_at_all():
 
 def test_vertex_normals_are_means_over_the_faces_at_a_vertex_by_area():
     area = cross_products(VERTICES, FACES)
-    expected = np.array([area[(FACES == vertex).any(axis=1)].sum(axis=0) for vertex in range(18)])
+    expected = np.array([area[(vertex == FACES).any(axis=1)].sum(axis=0) for vertex in range(18)])
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     assert vertex_normals(VERTICES, FACES)[:18] == pytest.approx(expected, abs=1e-12)
 
