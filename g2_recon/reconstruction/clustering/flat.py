@@ -140,6 +140,7 @@ def flat_clusters(
     flatness: float = 0.04,
     normal_weight: float = 2.0,
     min_area: float = 0.04,
+    gap: float = 0.4,
     seed: int = 0,
     workers: int = 1,
 ) -> FlatClusters:
@@ -147,8 +148,8 @@ def flat_clusters(
 
     patch_area: m^2 of surface for one cluster at first; bends, edges and gaps part them further. patch_size, flatness:
     m, how far a point may well be from the center of its cluster and from its plane; flatness is at least 4.5 times the
-    noise. min_area: m^2, pieces that are smaller go to clusters next to them where they fit, else to none. The result
-    does not depend on `workers`.
+    noise. min_area: m^2, pieces that are smaller go to clusters next to them where they fit, else to none. gap: m, over
+    more than that no cluster hangs together. The result does not depend on `workers`.
 
     Raises InputError where no piece is large enough.
     """
@@ -162,7 +163,7 @@ def flat_clusters(
         planes = _seeded(thinned, costs, _area(surface) / patch_area, seed, pool)
         planes = _flattened(thinned, planes, costs, bent, pool)
         label = _assign(everything, planes, costs, pool)
-        label = _connected(surface.neighbors, label)
+        label = _connected(everything.points, surface.neighbors, label, gap)
         planes = _fit(everything, label, pool)
         label = _without_scraps(everything, surface, label, planes, costs, min_area)
         planes = _trimmed_fit(everything, label, surface.noise, pool)
@@ -359,12 +360,16 @@ def _assign_points(points, normals, block, near, least, centers, planes, distanc
 
 
 @numba.njit(cache=True, nogil=True)
-def _connected(neighbors, label):  # type: ignore[no-untyped-def]
-    """The clusters (N,) after parting those that do not hang together over neighbors (N, m), by their first points."""
+def _connected(points, neighbors, label, gap):  # type: ignore[no-untyped-def]
+    """The clusters (N,) after parting those that do not hang together, numbered by their first points.
+
+    Points hang together over neighbors (N, m) that are not farther than the gap (m).
+    """
     parent = np.arange(len(label))
     for i in range(len(label)):
         for j in neighbors[i]:
-            if label[j] == label[i]:
+            x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+            if label[j] == label[i] and x * x + y * y + z * z <= gap * gap:
                 link(parent, i, j)
     return groups(parent)[0]
 
