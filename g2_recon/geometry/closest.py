@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.selection import select
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -134,7 +135,10 @@ def _near_after_near(points: Float) -> Int:
 
 @numba.njit(cache=True, nogil=True)
 def _sort(order, centers, leaves):  # type: ignore[no-untyped-def]
-    """Halve the faces again and again at the median of their centers (F, 3), across the longest side of these."""
+    """Halve the faces again and again at the median of their centers (F, 3), across the longest side of these.
+
+    The order (F,) and the centers are changed in place.
+    """
     parts = 1
     while parts < leaves:
         for part in range(parts):
@@ -144,39 +148,12 @@ def _sort(order, centers, leaves):  # type: ignore[no-untyped-def]
             for candidate in range(3):
                 low, high = np.inf, -np.inf
                 for row in range(begin, end):
-                    low = min(low, centers[order[row], candidate])
-                    high = max(high, centers[order[row], candidate])
+                    low = min(low, centers[row, candidate])
+                    high = max(high, centers[row, candidate])
                 if high - low > longest:
                     axis, longest = candidate, high - low
-            _select(order, centers, axis, begin, end, middle)
+            select(centers, order, axis, begin, end, middle)
         parts *= 2
-
-
-@numba.njit(cache=True, nogil=True)
-def _select(order, centers, axis, begin, end, middle):  # type: ignore[no-untyped-def]
-    """Put no greater ones before `middle` and no smaller ones from there on. Hoare, "Algorithm 65: find", 1961."""
-    low, high = begin, end - 1
-    # Pivots at random (Park and Miller, 1988): strips of faces come in orders that make any fixed place a bad one.
-    random = 1
-    while low < high:
-        random = random * 48271 % 2147483647
-        pivot = centers[order[low + random % (high - low + 1)], axis]
-        i, j = low, high
-        while i <= j:
-            while centers[order[i], axis] < pivot:
-                i += 1
-            while centers[order[j], axis] > pivot:
-                j -= 1
-            if i <= j:
-                order[i], order[j] = order[j], order[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
-            return
 
 
 @numba.njit(cache=True, nogil=True)

@@ -10,10 +10,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_grid import PointGrid, cell_of, point_grid, points_in_cell
+from g2_recon.geometry.triangles import area_vector
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 # What two triangles may reach into each other, as a share of their size, and still only touch: rounding.
 _TOUCH = 1e-7
@@ -21,14 +24,15 @@ _TOUCH = 1e-7
 # so many of them an axis.
 _CELL = 2.0
 _MOST_CELLS = 16
+_CELLS_A_TASK = 2048
 
 
-def crossing_pairs(vertices: Float, faces: Int, *, among: NDArray[np.bool_] | None = None) -> Int:
+def crossing_pairs(vertices: Float, faces: Int, *, among: Mask | None = None, workers: int = 1) -> Int:
     """Pairs (P, 2) of faces that cross or overlap, smaller number first, sorted.
 
     Faces that share an edge are not looked at; those that share a vertex may touch there.
     vertices: (V, 3) m, faces: (F, 3), most of about one size, which the time depends on.
-    among: (F,) only pairs with at least one of these faces.
+    among: (F,) only pairs with at least one of these faces. The result does not depend on `workers`.
     """
     if len(faces) < 2:
         return np.empty((0, 2), np.int64)
@@ -41,7 +45,16 @@ def crossing_pairs(vertices: Float, faces: Int, *, among: NDArray[np.bool_] | No
     else:
         number = np.flatnonzero(_meets(boxes, cell, _grid_of_cells(boxes[among], cell)[0]))
     grid, face = _grid_of_cells(boxes[number], cell)
-    pairs = _crossing_pairs(vertices, faces, boxes, cell, among, grid, number[face])
+    face = number[face]
+    # In the order of the cells, so that what is compared lies together.
+    boxes = boxes.take(face, axis=0)
+    parts = in_chunks(
+        lambda begin, end: _crossing_pairs(vertices, faces, boxes, cell, among, grid, face, begin, end),
+        len(grid.cells),
+        workers,
+        chunk=_CELLS_A_TASK,
+    )
+    pairs = np.concatenate([np.empty((0, 2), np.int64), *parts])
     return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
 
 
@@ -106,20 +119,25 @@ def _meets(boxes, cell, grid):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _crossing_pairs(vertices, faces, boxes, cell, among, grid, face):  # type: ignore[no-untyped-def]
-    """Candidates are the faces of one cell of the grid; two that share several cells meet in the first of them."""
+def _crossing_pairs(  # type: ignore[no-untyped-def]
+    vertices, faces, boxes, cell, among, grid, face, first_cell, last_cell
+):
+    """Candidates are the faces of one cell of the grid; two that share several cells meet in the first of them.
+
+    boxes, face: (E, 6), (E,) of each entry of the grid.
+    """
     pairs: Int = np.empty((64, 2), np.int64)
     count = 0
-    for number in range(len(grid.cells)):
+    for number in range(first_cell, last_cell):
         begin, end = grid.begin[number], grid.begin[number + 1]
         place = (grid.points[begin, 0], grid.points[begin, 1], grid.points[begin, 2])
         for row in range(begin, end):
             one = face[row]
             for column in range(row + 1, end):
                 other = face[column]
-                if _boxes_apart(boxes, one, other) or not (among[one] or among[other]):
+                if _boxes_apart(boxes, row, column) or not (among[one] or among[other]):
                     continue
-                if not _is_first_of_both(boxes, one, other, cell, place):
+                if not _is_first_of_both(boxes, row, column, cell, place):
                     continue
                 if faces_cross(vertices, _corners(faces, one), _corners(faces, other)):
                     if count == len(pairs):
@@ -164,9 +182,9 @@ def faces_cross(vertices, one, other):  # type: ignore[no-untyped-def]
             shared += one[i] == other[j]
     if shared >= 2:
         return False
-    area_one, size_one = _area_vector(vertices, one)
-    area_other, size_other = _area_vector(vertices, other)
-    touch = _TOUCH * max(size_one, size_other)
+    area_one = area_vector(vertices, one[0], one[1], one[2])
+    area_other = area_vector(vertices, other[0], other[1], other[2])
+    touch = _TOUCH * max(_size(vertices, one), _size(vertices, other))
     # Before the line, which means little where the planes are almost one, and first of all as most neighbors end here.
     if _separates(vertices, one, other, area_one, touch) or _separates(vertices, other, one, area_other, touch):
         return False
@@ -193,13 +211,13 @@ def faces_cross(vertices, one, other):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _area_vector(vertices, face):  # type: ignore[no-untyped-def]
-    """Normal of a face, as long as twice its area, and its longest side along an axis."""
-    a, b, c = face[0], face[1], face[2]
-    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-    size = max(abs(ux), abs(uy), abs(uz), abs(vx), abs(vy), abs(vz))
-    return (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx), size
+def _size(vertices, face):  # type: ignore[no-untyped-def]
+    """The longer of two sides of a face, each along its longest axis."""
+    size = 0.0
+    for axis in range(3):
+        first = vertices[face[0], axis]
+        size = max(size, abs(vertices[face[1], axis] - first), abs(vertices[face[2], axis] - first))
+    return size
 
 
 @numba.njit(cache=True, nogil=True)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.geometry.triangles import area_vectors, unit
+
 
 @dataclass(frozen=True, slots=True)
 class WireMesh:
@@ -37,10 +39,7 @@ class Mesh:
 
     def face_normals(self) -> NDArray[np.float64]:
         """Unit normals (F, 3); zero for a face without area."""
-        first, second, third = (self.vertices[self.faces[:, corner]] for corner in range(3))
-        normal = np.cross(second - first, third - first)
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        return normal / np.where(length > 0, length, 1.0)
+        return unit(area_vectors(self.vertices, self.faces))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
 _FEWEST_SLOTS = 64  # a power of two, and so are all table sizes
+_ROUNDING = 1e-6  # of squared distances of cells, also where coordinates are those of UTM
 
 
 class PointGrid(NamedTuple):
@@ -158,10 +159,11 @@ def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     for di in range(-rings, rings + 1):
         for dj in range(-rings, rings + 1):
             for dk in range(-rings, rings + 1):
+                if _gap(grid, i + di, j + dj, k + dk, x, y, z) > distance * distance:
+                    continue
                 begin, end = points_in_cell(grid, i + di, j + dj, k + dk)
                 for row in range(begin, end):
-                    dx, dy, dz = grid.points[row, 0] - x, grid.points[row, 1] - y, grid.points[row, 2] - z
-                    if dx * dx + dy * dy + dz * dz <= distance * distance:
+                    if _squared_distance(grid, row, x, y, z) <= distance * distance:
                         return True
     return False
 
@@ -170,15 +172,39 @@ def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
 def nearest_point(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     """Number, before sorting, of the point nearest to the place (x, y, z) within `distance` metres; -1 for none."""
     i, j, k = cell_of(grid, x, y, z)
+    nearest, least = _nearer_in_cell(grid, i, j, k, x, y, z, -1, distance * distance)
     rings = math.ceil(distance / grid.cell)
-    nearest, least = -1, distance * distance
     for di in range(-rings, rings + 1):
         for dj in range(-rings, rings + 1):
             for dk in range(-rings, rings + 1):
-                begin, end = points_in_cell(grid, i + di, j + dj, k + dk)
-                for row in range(begin, end):
-                    dx, dy, dz = grid.points[row, 0] - x, grid.points[row, 1] - y, grid.points[row, 2] - z
-                    square = dx * dx + dy * dy + dz * dz
-                    if square < least or (square == least and (nearest < 0 or grid.order[row] < nearest)):
-                        nearest, least = grid.order[row], square
+                if (di == 0 and dj == 0 and dk == 0) or _gap(grid, i + di, j + dj, k + dk, x, y, z) > least:
+                    continue
+                nearest, least = _nearer_in_cell(grid, i + di, j + dj, k + dk, x, y, z, nearest, least)
     return nearest
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearer_in_cell(grid, i, j, k, x, y, z, nearest, least):  # type: ignore[no-untyped-def]
+    """The point nearest to a place, and its squared distance: one of the cell (i, j, k), or the nearest before."""
+    begin, end = points_in_cell(grid, i, j, k)
+    for row in range(begin, end):
+        square = _squared_distance(grid, row, x, y, z)
+        if square < least or (square == least and (nearest < 0 or grid.order[row] < nearest)):
+            nearest, least = grid.order[row], square
+    return nearest, least
+
+
+@numba.njit(cache=True, nogil=True)
+def _squared_distance(grid, row, x, y, z):  # type: ignore[no-untyped-def]
+    dx, dy, dz = grid.points[row, 0] - x, grid.points[row, 1] - y, grid.points[row, 2] - z
+    return dx * dx + dy * dy + dz * dz
+
+
+@numba.njit(cache=True, nogil=True)
+def _gap(grid, i, j, k, x, y, z):  # type: ignore[no-untyped-def]
+    """Squared distance of a place from the cell (i, j, k), a little less for rounding."""
+    low_x, low_y, low_z = grid.origin[0] + i * grid.cell, grid.origin[1] + j * grid.cell, grid.origin[2] + k * grid.cell
+    dx = max(low_x - x, x - low_x - grid.cell, 0.0)
+    dy = max(low_y - y, y - low_y - grid.cell, 0.0)
+    dz = max(low_z - z, z - low_z - grid.cell, 0.0)
+    return (1.0 - _ROUNDING) * (dx * dx + dy * dy + dz * dz)

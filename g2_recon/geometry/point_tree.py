@@ -9,11 +9,15 @@ kernel needs the neighbors of one point at a time. This search is most of what m
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from g2_recon.geometry.chunks import taken
+from g2_recon.geometry.selection import select
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -21,7 +25,7 @@ Int = NDArray[np.int64]
 # Points in a leaf, and the best number of places to search for together.
 BLOCK = 8
 
-# Levels of the tree that are made one after the other; the parts below them are made in parallel.
+# Levels of the tree that are made one after the other, each in parallel; so are the parts below them.
 _SERIAL_LEVELS = 4
 _LEVELS = 64
 
@@ -47,15 +51,16 @@ def point_tree(points: Float, rows: Int | None = None, *, workers: int = 1) -> P
     Points that are near each other in the array make it faster. It does not depend on `workers`.
     """
     number = np.arange(len(points)) if rows is None else rows.astype(np.int64)
-    sorted_points = points[number]
+    sorted_points = taken(points, number, workers)
     filled = -(-len(number) // BLOCK)
     depth = (filled - 1).bit_length()
     boxes = np.zeros((2 << depth, 6))
     serial = min(depth, _SERIAL_LEVELS)
-    _halve(sorted_points, number, boxes, 1, serial, depth)
     with ThreadPoolExecutor(workers) as pool:
-        parts = range(1 << serial, 2 << serial)
-        list(pool.map(lambda node: _halve(sorted_points, number, boxes, node, depth + 1, depth), parts))
+        for level in range(serial + 1):
+            until = level + 1 if level < serial else depth + 1
+            halve = partial(_halve, sorted_points, number, boxes, until=until, depth=depth)
+            list(pool.map(halve, range(1 << level, 2 << level)))
     leaves = np.full((filled, 3, BLOCK), np.inf)
     _fill(sorted_points, leaves)
     return PointTree(boxes, leaves, number)
@@ -87,38 +92,9 @@ def _halve(points, number, boxes, top, until, depth):  # type: ignore[no-untyped
                 axis = 0 if high_x - low_x >= high_y - low_y else 1
                 if high_z - low_z > max(high_x - low_x, high_y - low_y):
                     axis = 2
-                _select(points, number, axis, begin, end, begin + size // 2)
+                select(points, number, axis, begin, end, begin + size // 2)
         level += 1
         width *= 2
-
-
-@numba.njit(cache=True, nogil=True)
-def _select(points, number, axis, begin, end, middle):  # type: ignore[no-untyped-def]
-    """Put no greater ones before `middle` and no smaller ones from there on. Hoare, "Algorithm 65: find", 1961."""
-    low, high = begin, end - 1
-    # Pivots at random (Park and Miller, 1988): scans come in orders that make any fixed place a bad one.
-    random = 1
-    while low < high:
-        random = random * 48271 % 2147483647
-        pivot = points[low + random % (high - low + 1), axis]
-        i, j = low, high
-        while i <= j:
-            while points[i, axis] < pivot:
-                i += 1
-            while points[j, axis] > pivot:
-                j -= 1
-            if i <= j:
-                for a in range(3):
-                    points[i, a], points[j, a] = points[j, a], points[i, a]
-                number[i], number[j] = number[j], number[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
-            return
 
 
 @numba.njit(cache=True, nogil=True)
@@ -132,9 +108,10 @@ def _fill(points, leaves):  # type: ignore[no-untyped-def]
 def nearest_to_block(tree, block, beyond, squared, places, found):  # type: ignore[no-untyped-def]
     """Find the k points nearest to each of a few places near each other (B, 3), of those nearer than the limit.
 
-    beyond: m^2, what a squared distance must be below. squared, places: (B, k), filled in with the squared distances
-    (m^2), ascending, and with places in the tree. found: (B,), filled in with how many there are. Of points as far the
-    one with the lowest number comes first; where k or more are at distance 0, any of these are taken, always the same.
+    beyond: m^2, finite, what a squared distance must be below. squared, places: (B, k), filled in with the squared
+    distances (m^2), ascending, and with places in the tree. found: (B,), filled in with how many there are. Of points
+    as far the one with the lowest number comes first; where k or more are at distance 0, any of these are taken, always
+    the same.
     """
     boxes, leaves, number = tree
     leaf_count, k = len(boxes) // 2, squared.shape[1]

@@ -20,6 +20,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry.edges import edges_of, half_edge_numbers
 from g2_recon.geometry.intersections import faces_cross
 from g2_recon.geometry.point_grid import PointGrid, cell_of, point_grid, points_in_cell
+from g2_recon.geometry.triangles import area_vector
 from g2_recon.reconstruction.support import triangle_supported
 
 Float = NDArray[np.float64]
@@ -258,14 +259,6 @@ def _distance(vertices, one, other):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _area_vector(vertices, a, b, c):  # type: ignore[no-untyped-def]
-    """Normal of a triangle, as long as twice its area."""
-    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-
-
-@numba.njit(cache=True, nogil=True)
 def _cost(surface, a, b, c, folded_to, reach, spacing):  # type: ignore[no-untyped-def]
     """Circumradius plus a share of the spacing for turning away from the normals, in m; infinite where not allowed.
 
@@ -275,7 +268,7 @@ def _cost(surface, a, b, c, folded_to, reach, spacing):  # type: ignore[no-untyp
     ab, bc, ca = _distance(vertices, a, b), _distance(vertices, b, c), _distance(vertices, c, a)
     if bc > reach or ca > reach:
         return np.inf
-    x, y, z = _area_vector(vertices, a, b, c)
+    x, y, z = area_vector(vertices, a, b, c)
     double_area = math.sqrt(x * x + y * y + z * z)
     longest = max(ab, bc, ca)
     if double_area <= _LEAST_SHAPE * longest * longest:
@@ -308,7 +301,7 @@ def _fits(surface, a, b, c):  # type: ignore[no-untyped-def]
 def _ask(surface, heap, lookup, a, b, reach, spacing):  # type: ignore[no-untyped-def]
     """Put on the heap what the free half-edge from a to b, opposite to a face, can get."""
     face = surface.faces[_face_at(surface, b, a)]
-    x, y, z = _area_vector(surface.vertices, face[0], face[1], face[2])
+    x, y, z = area_vector(surface.vertices, face[0], face[1], face[2])
     length = max(math.sqrt(x * x + y * y + z * z), 1e-300)
     folded_to = (x / length, y / length, z / length)
     # A third vertex within reach of both ends lies within reach of their middle too.

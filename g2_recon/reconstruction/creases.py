@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.edges import edges_of
+from g2_recon.geometry.triangles import area_vectors
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -177,15 +178,10 @@ def _interleaved(*parts: list[Int]) -> Int:
 
 def _turned_over(vertices: Float, faces: Int, surface: CreasedSurface) -> Mask:
     """Mask (F',) of the parts that look away from the face that they are a part of, or are needles; not whole faces."""
-    before = _area_vectors(vertices, faces)[surface.origin]
-    after = _area_vectors(surface.vertices, surface.faces)
+    before = area_vectors(vertices, faces)[surface.origin]
+    after = area_vectors(surface.vertices, surface.faces)
     corners = surface.vertices[surface.faces]
     longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
     needle = np.linalg.norm(after, axis=1) < _LEAST_SHAPE * longest**2
     whole = (surface.faces < len(vertices)).all(axis=1)
     return ((np.einsum("fi,fi->f", before, after) <= 0) | needle) & ~whole
-
-
-def _area_vectors(vertices: Float, faces: Int) -> Float:
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    return np.asarray(np.cross(b - a, c - a))

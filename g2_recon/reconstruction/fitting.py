@@ -15,6 +15,7 @@ from scipy.sparse.linalg import cg
 
 from g2_recon.geometry.closest import closest_on_mesh
 from g2_recon.geometry.edges import edges_of
+from g2_recon.geometry.triangles import area_vectors, unit, vertex_normals
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -45,7 +46,7 @@ def fit_to_points(vertices: Float, faces: Int, free: Mask, points: Float, *, lim
     unevenness = _laplacian(faces[touched], free)
     vertices = vertices.copy()
     for _ in range(_ROUNDS):
-        normals = _vertex_normals(vertices, around)
+        normals = vertex_normals(vertices, around)
         slopes, distances = _distances(vertices, around, free, normals, points, limit, workers)
         matrix = slopes.T @ slopes + _SMOOTHNESS * (unevenness.T @ unevenness) + _HOLD * eye_array(slopes.shape[1])
         step, _ = cg(matrix.tocsr(), slopes.T @ distances, rtol=_PRECISION)
@@ -62,10 +63,8 @@ def _distances(
     # Closest to a corner, a point may be anywhere beyond it.
     inside = (places.face >= 0) & free[hit].any(axis=1) & ((places.barycentric > 1e-6).sum(axis=1) >= 2)
     hit, share = hit[inside], places.barycentric[inside]
-    a, b, c = (vertices[hit[:, corner]] for corner in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    distance = np.einsum("mi,mi->m", points[inside] - a, normal)
+    normal = unit(area_vectors(vertices, hit))
+    distance = np.einsum("mi,mi->m", points[inside] - vertices[hit[:, 0]], normal)
     slope = share * np.einsum("mki,mi->mk", normals[hit], normal)
     number = np.cumsum(free) - 1
     row, corner = np.nonzero(free[hit])
@@ -84,13 +83,3 @@ def _laplacian(faces: Int, free: Mask) -> csr_array:
     both = number[ends[free[ends[:, 1]]]]
     graph = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
     return csr_array(eye_array(count) - diags_array(1.0 / neighbors) @ graph)
-
-
-def _vertex_normals(vertices: Float, faces: Int) -> Float:
-    """Unit normals (V, 3), means over the faces at a vertex by area; zero where there is none."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    area = np.cross(b - a, c - a)
-    normals = np.zeros_like(vertices)
-    for axis in range(3):
-        normals[:, axis] = np.bincount(faces.ravel(), np.repeat(area[:, axis], 3), len(vertices))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)

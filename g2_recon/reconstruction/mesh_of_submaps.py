@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from g2_recon.config import ReconstructionConfig
 from g2_recon.geometry.mesh import Mesh
 from g2_recon.geometry.point_grid import PointGrid, point_grid
+from g2_recon.geometry.triangles import area_vectors
 from g2_recon.reconstruction.advancing_front import join_submaps
 from g2_recon.reconstruction.creases import insert_creases
 from g2_recon.reconstruction.fitting import fit_to_points
@@ -74,11 +75,12 @@ class _Sheet:
 
 @dataclass(frozen=True, slots=True)
 class _Data:
-    """The points, a grid of them, and how near (m) they must lie to a triangle to support it."""
+    """The points, a grid of them, how near (m) they must lie to a triangle to support it, and the workers on them."""
 
     surface: SurfacePoints
     grid: PointGrid
     near: float
+    workers: int
 
 
 def mesh_of_submaps(
@@ -87,12 +89,12 @@ def mesh_of_submaps(
     """The mesh of all submaps. owner: (N,) the neuron of each point of the surface, -1 for none."""
     near = config.support_distance or config.spacing
     # In cells of this size any point of an occupied one is near enough.
-    data = _Data(surface, point_grid(surface.points, cell=near / math.sqrt(3)), near)
+    data = _Data(surface, point_grid(surface.points, cell=near / math.sqrt(3)), near, workers)
     neurons = with_data(submaps, owner)
-    cells = sound_cells(neurons, data, workers)
+    cells = sound_cells(neurons, data)
     joined = join(neurons, cells, data, config)
     creased = crease(joined, neurons)
-    fitted = fit_bends(creased, neurons, data, config, workers)
+    fitted = fit_bends(creased, neurons, data, config)
     extended = extend(fitted, creased, neurons, data, config)
     return finish(extended, data, config)
 
@@ -113,18 +115,17 @@ def with_data(submaps: FlatSubmaps, owner: Int) -> _Neurons:
     )
 
 
-def sound_cells(neurons: _Neurons, data: _Data, workers: int) -> Int:
+def sound_cells(neurons: _Neurons, data: _Data) -> Int:
     """The cells (C', 3) that are covered by data, that of their own submap, are not folded and cross no other."""
     cells = neurons.cells
-    first, second, third = (neurons.places[cells[:, corner]] for corner in range(3))
-    normal = np.cross(second - first, third - first)
+    normal = area_vectors(neurons.places, cells)
     along = np.einsum("fi,fi->f", normal, neurons.normals[cells[:, 0]])
     upright = along > _LEAST_AGREEMENT * np.linalg.norm(normal, axis=1)
-    cells = cells[upright & supported(neurons.places, cells, data.grid, data.near)]
+    cells = cells[upright & supported(neurons.places, cells, data.grid, data.near, data.workers)]
     label = np.where(neurons.owner >= 0, neurons.submap[neurons.owner], -1)
     submap = neurons.submap[cells[:, 0]]
-    cells = cells[on_own_data(neurons.places, cells, submap, data.grid, label, data.near, workers)]
-    return np.asarray(cells[remove_crossings(neurons.places, cells, neurons.places)[1]])
+    cells = cells[on_own_data(neurons.places, cells, submap, data.grid, label, data.near, data.workers)]
+    return np.asarray(cells[remove_crossings(neurons.places, cells, neurons.places, workers=data.workers)[1]])
 
 
 def join(neurons: _Neurons, cells: Int, data: _Data, config: ReconstructionConfig) -> _Sheet:
@@ -151,7 +152,7 @@ def crease(sheet: _Sheet, neurons: _Neurons) -> _Sheet:
     return _Sheet(creased.vertices, creased.faces, sheet.submap[creased.origin])
 
 
-def fit_bends(sheet: _Sheet, neurons: _Neurons, data: _Data, config: ReconstructionConfig, workers: int) -> _Sheet:
+def fit_bends(sheet: _Sheet, neurons: _Neurons, data: _Data, config: ReconstructionConfig) -> _Sheet:
     """Phase 4, where the surface is curved: the triangles, not only the neurons, lie amid the points."""
     count = len(sheet.vertices)
     # A crease moves where it touches a bend.
@@ -159,7 +160,7 @@ def fit_bends(sheet: _Sheet, neurons: _Neurons, data: _Data, config: Reconstruct
     around = _touching(sheet.faces, free, count)
     points = data.surface.points[(neurons.owner >= 0) & around[neurons.owner]]
     limit = _FARTHEST_FIT * config.spacing
-    vertices = fit_to_points(sheet.vertices, sheet.faces, free, points, limit=limit, workers=workers)
+    vertices = fit_to_points(sheet.vertices, sheet.faces, free, points, limit=limit, workers=data.workers)
     return _Sheet(vertices, sheet.faces, sheet.submap)
 
 
@@ -176,7 +177,7 @@ def extend(sheet: _Sheet, home: _Sheet, neurons: _Neurons, data: _Data, config: 
         neurons.owner,
         limit=_FARTHEST_EXTENSION * config.spacing,
     )
-    vertices, sound = remove_crossings(extended, sheet.faces, home.vertices)
+    vertices, sound = remove_crossings(extended, sheet.faces, home.vertices, workers=data.workers)
     return _Sheet(vertices, sheet.faces[sound], sheet.submap[sound])
 
 
@@ -185,7 +186,7 @@ def finish(sheet: _Sheet, data: _Data, config: ReconstructionConfig) -> Mesh:
     grain = _GRAIN * config.spacing
     # Only where no two fans share a vertex has each hole a border of its own.
     vertices, faces, _ = split_pinched(sheet.vertices, sheet.faces)
-    sheet = _parted(_filled(_Sheet(vertices, faces, sheet.submap), data), grain)
+    sheet = _parted(_filled(_Sheet(vertices, faces, sheet.submap), data), grain, data.workers)
     large = large_pieces(sheet.vertices, sheet.faces, least_area=_LEAST_PIECE * config.spacing**2)
     used, number = np.unique(sheet.faces[large], return_inverse=True)
     return Mesh(sheet.vertices[used], number.reshape(-1, 3).astype(np.int64), sheet.submap[large])
@@ -199,18 +200,22 @@ def _filled(sheet: _Sheet, data: _Data) -> _Sheet:
     return _Sheet(sheet.vertices, np.concatenate([sheet.faces, new]), np.concatenate([sheet.submap, beside[new[:, 0]]]))
 
 
-def _parted(sheet: _Sheet, grain: float) -> _Sheet:
+def _parted(sheet: _Sheet, grain: float, workers: int) -> _Sheet:
     """The sheet with coordinates in multiples of the grain (m), one fan of faces a vertex, and no crossings.
 
     The copies of a vertex move into their fans, which may take one through another where that lies around it, and so
     may rounding. A face is dropped there; it may leave two fans behind, so this is repeated.
     """
+    corners = np.full((*sheet.faces.shape, 3), np.nan)
     while True:
         vertices, faces, _ = split_pinched(sheet.vertices, sheet.faces)
         vertices = np.round(vertices / grain) * grain
-        _, sound = remove_crossings(vertices, faces, vertices)
+        # What stays where it was has been looked at.
+        moved = (vertices[faces] != corners).any(axis=(1, 2))
+        _, sound = remove_crossings(vertices, faces, vertices, among=moved, workers=workers)
         if sound.all():
             return _Sheet(vertices, faces, sheet.submap)
+        corners = vertices[faces[sound]]
         sheet = _Sheet(sheet.vertices, sheet.faces[sound], sheet.submap[sound])
 
 

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from g2_recon.geometry.edges import edges_of, half_edge_numbers, is_open
 from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.point_grid import PointGrid
+from g2_recon.geometry.triangles import area_vector, area_vectors, unit, vertex_normals
+from g2_recon.geometry.union_find import groups, link
 from g2_recon.reconstruction.support import supported
 
 Float = NDArray[np.float64]
@@ -52,8 +54,8 @@ def split_pinched(vertices: Float, faces: Int) -> tuple[Float, Int, Int]:
     split = number[fan].reshape(-1, 3)
     source = np.concatenate([np.arange(len(vertices)), origin[~is_first]])
     placed = vertices[source]
-    moved = np.flatnonzero(pinched[source])
-    middle = _fan_middles(placed, split)[moved]
+    moved = pinched[source]
+    middle = _fan_middles(placed, split[moved[split].any(axis=1)])[moved]
     placed[moved] += _PART * (middle - placed[moved])
     return placed, split, source
 
@@ -94,34 +96,11 @@ def _before_at_edge(edge):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _linked(one, other, size):  # type: ignore[no-untyped-def]
-    """The group (size,) of each member of what hangs together by links one (L,) to other (L,), and its first member.
-
-    Union-find with path halving (Tarjan and van Leeuwen, 1984); groups are numbered by their first members.
-    """
+    """The group (size,) of each member of what hangs together by links one (L,) to other (L,), and its first member."""
     parent = np.arange(size)
-    for link in range(len(one)):
-        first, second = _root(parent, one[link]), _root(parent, other[link])
-        parent[max(first, second)] = min(first, second)
-    group = np.empty(size, np.int64)
-    first_member = np.empty(size, np.int64)
-    count = 0
-    for member in range(size):
-        root = _root(parent, member)
-        if root == member:
-            first_member[count] = member
-            group[member] = count
-            count += 1
-        else:
-            group[member] = group[root]
-    return group, first_member[:count].copy()
-
-
-@numba.njit(cache=True, nogil=True)
-def _root(parent, member):  # type: ignore[no-untyped-def]
-    while parent[member] != member:
-        parent[member] = parent[parent[member]]
-        member = parent[member]
-    return member
+    for number in range(len(one)):
+        link(parent, one[number], other[number])
+    return groups(parent)
 
 
 def _fan_middles(vertices: Float, faces: Int) -> Float:
@@ -134,7 +113,12 @@ def _fan_middles(vertices: Float, faces: Int) -> Float:
 
 def border_half_edges(faces: Int, count: int) -> Int:
     """The half-edges (B, 2) of faces (F, 3) over `count` vertices that no face has in the other direction."""
-    return np.asarray(np.stack([faces, faces[:, [1, 2, 0]]], axis=2)[is_open(faces, count)])
+    return np.asarray(_half_edges(faces)[is_open(faces, count)])
+
+
+def _half_edges(faces: Int) -> Int:
+    """The two vertices (F, 3, 2) of the half-edge after each corner."""
+    return np.stack([faces, faces[:, [1, 2, 0]]], axis=2)
 
 
 def extend_borders(
@@ -156,10 +140,11 @@ def extend_borders(
     goes on. It moves at most by `limit` (m); with fewer than three points it stays. A crease vertex
     goes along its crease as far as its neighbors on the border go.
     """
-    border = border_half_edges(faces, len(vertices))
-    outward = _outward_directions(vertices, faces, normals)
-    rows = np.flatnonzero(owner >= 0)
-    rows = rows[(outward[owner[rows]] != 0).any(axis=1)]
+    is_border = is_open(faces, len(vertices))
+    border = _half_edges(faces)[is_border]
+    outward = _outward_directions(vertices, faces, normals, is_border)
+    on_border = (outward != 0).any(axis=1)
+    rows = np.flatnonzero((owner >= 0) & on_border[owner])
     mine = owner[rows]
     offset = np.einsum("ni,ni->n", points[rows] - vertices[mine], outward[mine])
     end, count = _quantiles(offset, mine, _END, len(vertices))
@@ -167,8 +152,8 @@ def extend_borders(
     beyond = np.minimum(gap, _FARTHEST_BEYOND * limit)
     length = np.where(count >= 3, np.minimum(np.maximum(end, 0) + beyond, limit), 0)
     step = length[:, None] * outward
-    crease = (normals == 0).all(axis=1)
-    step[crease] = _steps_along_creases(border, normals, step)[crease]
+    crease, along = _steps_along_creases(border, np.asarray((normals == 0).all(axis=1)), normals, step)
+    step[crease] = along
     return np.asarray(vertices + step)
 
 
@@ -203,27 +188,33 @@ def _next_along(points, neighbors, rows, owner, direction):  # type: ignore[no-u
 _ONE_PLANE = 0.05
 
 
-def _steps_along_creases(border: Int, normals: Float, step: Float) -> Float:
-    """For each vertex (V, 3) the mean step of its neighbors on the border, as far as it keeps to all their planes."""
-    begin, end = np.concatenate([border, border[:, ::-1]]).T
-    count = len(normals)
-    neighbors = np.maximum(np.bincount(begin, minlength=count), 1)[:, None]
-    mean = _sums(begin, step[end], count) / neighbors
-    products = np.einsum("ni,nj->nij", normals[end], normals[end]).reshape(-1, 9)
-    planes = (_sums(begin, products, count) / neighbors).reshape(-1, 3, 3)
-    value, vector = np.linalg.eigh(planes)
-    along = np.einsum("vij,vi->vj", vector, mean) * (value < _ONE_PLANE)
-    return np.asarray(np.einsum("vij,vj->vi", vector, along))
+def _steps_along_creases(border: Int, crease: Mask, normals: Float, step: Float) -> tuple[Int, Float]:
+    """The crease vertices (C,) on the border, and for each the mean step (C, 3) of its neighbors there.
+
+    Of the mean only that counts which keeps to the planes of all these neighbors.
+    """
+    links = np.concatenate([border, border[:, ::-1]])
+    links = links[crease[links[:, 0]]]
+    vertex, own = np.unique(links[:, 0], return_inverse=True)
+    own, count = own.reshape(-1), len(vertex)
+    neighbors = np.bincount(own, minlength=count)[:, None]
+    mean = _sums(own, step[links[:, 1]], count) / neighbors
+    around = normals[links[:, 1]]
+    products = np.einsum("ni,nj->nij", around, around).reshape(-1, 9)
+    planes = (_sums(own, products, count) / neighbors).reshape(-1, 3, 3)
+    value, axes = np.linalg.eigh(planes)
+    along = np.einsum("vij,vi->vj", axes, mean) * (value < _ONE_PLANE)
+    return vertex, np.asarray(np.einsum("vij,vj->vi", axes, along))
 
 
-def _outward_directions(vertices: Float, faces: Int, normals: Float) -> Float:
-    """Unit vectors (V, 3) off the surface in the tangent plane of each border vertex; zero for others."""
-    area = _area_vectors(vertices, faces)
-    area /= np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-12)
-    border = is_open(faces, len(vertices))
-    begin, end = faces[border], faces[:, [1, 2, 0]][border]
+def _outward_directions(vertices: Float, faces: Int, normals: Float, is_border: Mask) -> Float:
+    """Unit vectors (V, 3) off the surface in the tangent plane of each border vertex; zero for others.
+
+    is_border: (F, 3) of the half-edges.
+    """
+    begin, end = _half_edges(faces)[is_border].T
     # As long as the edge, so that a long side counts for more.
-    away = np.cross(vertices[end] - vertices[begin], area[np.nonzero(border)[0]])
+    away = np.cross(vertices[end] - vertices[begin], unit(area_vectors(vertices, faces[np.nonzero(is_border)[0]])))
     both = np.concatenate([begin, end])
     total = _sums(both, np.tile(away, (2, 1)), len(vertices))
     total -= np.einsum("vi,vi->v", total, normals)[:, None] * normals
@@ -249,18 +240,20 @@ def large_pieces(vertices: Float, faces: Int, *, least_area: float, least_faces:
         return np.zeros(0, bool)
     one, other = _neighbors_at_edges(edges_of(faces, len(vertices))[1])
     piece, _ = _linked(one // 3, other // 3, len(faces))
-    area = np.bincount(piece, 0.5 * np.linalg.norm(_area_vectors(vertices, faces), axis=1))
+    area = np.bincount(piece, 0.5 * np.linalg.norm(area_vectors(vertices, faces), axis=1))
     return np.asarray(((area >= least_area) & (np.bincount(piece) >= least_faces))[piece])
 
 
-def remove_crossings(vertices: Float, faces: Int, home: Float) -> tuple[Float, Mask]:
+def remove_crossings(
+    vertices: Float, faces: Int, home: Float, *, among: Mask | None = None, workers: int = 1
+) -> tuple[Float, Mask]:
     """Vertices (V, 3) and a mask (F,) of the faces to keep, such that no face crosses another one.
 
     Vertices that were moved for looks go back towards `home` (V, 3), where they came from, as far as it takes; of faces
-    that cross even so, as few as possible are dropped, later ones first.
+    that cross even so, as few as possible are dropped, later ones first. among: (F,) faces that may cross another one.
     """
     vertices = vertices.copy()
-    pairs = crossing_pairs(vertices, faces)
+    pairs = crossing_pairs(vertices, faces, among=among, workers=workers)
     for share in _KEPT_OF_WAY:
         moved = np.zeros(len(vertices), bool)
         moved[faces[pairs].ravel()] = True
@@ -270,7 +263,7 @@ def remove_crossings(vertices: Float, faces: Int, home: Float) -> tuple[Float, M
         vertices[moved] = home[moved] + share * (vertices[moved] - home[moved])
         touched: Mask = np.asarray(moved[faces].any(axis=1))
         settled = pairs[~touched[pairs].any(axis=1)]
-        pairs = np.concatenate([settled, crossing_pairs(vertices, faces, among=touched)])
+        pairs = np.concatenate([settled, crossing_pairs(vertices, faces, among=touched, workers=workers)])
     keep = np.ones(len(faces), bool)
     keep[_cover(pairs)] = False
     return vertices, keep
@@ -302,11 +295,12 @@ def fill_small_loops(
     where the mesh would not stay manifold and oriented, where it would get a lid of more than one triangle or its own
     back, or where a new face would cross another one.
     """
-    loops, size = _small_loops(vertices, faces, max_edges)
+    normals = vertex_normals(vertices, faces)
+    loops, size = _small_loops(vertices, faces, normals, max_edges)
     triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size)
     support = np.bincount(loop, supported(vertices, triangles, grid, support_distance), len(loops))
     accepted = support == size - 2
-    agreement = _agreement(vertices, triangles, loop, len(loops), _vertex_normals(vertices, faces))
+    agreement = _agreement(vertices, triangles, loop, len(loops), normals)
     accepted &= (np.abs(agreement) > _LEAST_AGREEMENT) | (size == 3)
     # What lies on the back of its surroundings closes a fold there; around a piece hardly larger it would be its back.
     accepted &= (agreement > 0) | ~_around_small_pieces(vertices, faces, loops)
@@ -327,15 +321,10 @@ def _agreement(vertices: Float, triangles: Int, loop: Int, count: int, normals: 
     loop: (T,) of each triangle. normals: (V, 3); the surface around is that at the corners of the triangles. A lid on
     the end of a column has about 0.
     """
-    area = _area_vectors(vertices, triangles)
-    along = np.einsum("ti,tki->t", area, _unit(normals)[triangles]) / 3
+    area = area_vectors(vertices, triangles)
+    along = np.einsum("ti,tki->t", area, normals[triangles]) / 3
     size = np.bincount(loop, np.linalg.norm(area, axis=1), count)
     return np.asarray(np.bincount(loop, along, count) / np.maximum(size, 1e-300))
-
-
-def _unit(vectors: Float) -> Float:
-    """Vectors (N, 3) of length one, or zero as they were."""
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
 def _around_small_pieces(vertices: Float, faces: Int, loops: Int) -> Mask:
@@ -346,24 +335,12 @@ def _around_small_pieces(vertices: Float, faces: Int, loops: Int) -> Mask:
     return np.asarray(in_small[loops[:, 0]])
 
 
-def _small_loops(vertices: Float, faces: Int, max_edges: int) -> tuple[Int, Int]:
+def _small_loops(vertices: Float, faces: Int, normals: Float, max_edges: int) -> tuple[Int, Int]:
     """Holes of at most `max_edges` edges: vertices (L, max_edges) in the order of new faces, and how many (L,)."""
     half_edges = border_half_edges(faces, len(vertices))[:, ::-1]
     half_edges = np.ascontiguousarray(half_edges[np.lexsort((half_edges[:, 1], half_edges[:, 0]))])
     begin = np.concatenate([[0], np.cumsum(np.bincount(half_edges[:, 0], minlength=len(vertices)))])
-    return tuple(
-        _walk_loops(np.ascontiguousarray(vertices), _vertex_normals(vertices, faces), half_edges, begin, max_edges)
-    )
-
-
-def _vertex_normals(vertices: Float, faces: Int) -> Float:
-    return _sums(faces.ravel(), np.repeat(_area_vectors(vertices, faces), 3, axis=0), len(vertices))
-
-
-def _area_vectors(vertices: Float, faces: Int) -> Float:
-    """Normals (F, 3) of the faces, as long as twice their area."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    return np.asarray(np.cross(b - a, c - a))
+    return tuple(_walk_loops(np.ascontiguousarray(vertices), normals, half_edges, begin, max_edges))
 
 
 def _sums(group: Int, vectors: Float, count: int) -> Float:
@@ -474,9 +451,7 @@ def _least_area(vertices, loops, sizes):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _area(vertices, a, b, c):  # type: ignore[no-untyped-def]
-    u = vertices[b] - vertices[a]
-    v = vertices[c] - vertices[a]
-    x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+    x, y, z = area_vector(vertices, a, b, c)
     return 0.5 * math.sqrt(x * x + y * y + z * z)
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
+from g2_recon.geometry.chunks import in_chunks, taken
 from g2_recon.geometry.point_tree import BLOCK, PointTree, nearest_to_block
-from g2_recon.reconstruction.chunks import in_chunks
 
 Float = NDArray[np.float64]
 
@@ -62,9 +62,9 @@ class LocalPlanes(NamedTuple):
             around=np.empty((size, SECTORS), np.int32),
         )
 
-    def select(self, which: NDArray[np.int64]) -> LocalPlanes:
+    def select(self, which: NDArray[np.int64], workers: int = 1) -> LocalPlanes:
         """Those of the points `which` (M,)."""
-        return LocalPlanes._make(column.take(which, axis=0) for column in self)
+        return LocalPlanes._make(taken(column, which, workers) for column in self)
 
 
 def fit_local_planes(
@@ -322,10 +322,17 @@ def _misfit(points, point, middles, normals, variance, plane):  # type: ignore[n
     return variance[plane] + height * height
 
 
-def orient_to_sensor(points: Float, normals: Float, sensor: Float) -> Float:
+def orient_to_sensor(points: Float, normals: Float, sensor: Float, workers: int = 1) -> Float:
     """Normals (N, 3) turned towards where each point was seen from; all arrays (N, 3)."""
-    away = np.einsum("ij,ij->i", normals, sensor - points) < 0
-    return np.where(away[:, None], -normals, normals)
+    turned = np.empty_like(normals)
+
+    def turn(begin: int, end: int) -> None:
+        part = slice(begin, end)
+        away = np.einsum("ij,ij->i", normals[part], sensor[part] - points[part]) < 0
+        turned[part] = np.where(away[:, None], -normals[part], normals[part])
+
+    in_chunks(turn, len(points), workers)
+    return turned
 
 
 def orient_consistently(points: Float, normals: Float, neighbors: NDArray[np.int32]) -> Float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.cloud import Cloud
 
 Float = NDArray[np.float64]
@@ -26,10 +27,19 @@ class OwnFrame:
     origin: Float
     axes: Float
 
-    def of(self, cloud: Cloud) -> Cloud:
+    def of(self, cloud: Cloud, *, workers: int = 1) -> Cloud:
         """The cloud in this frame."""
-        sensor = None if cloud.sensor is None else (cloud.sensor - self.origin) @ self.axes.T
-        return Cloud((cloud.points - self.origin) @ self.axes.T, sensor)
+        sensor = None if cloud.sensor is None else self._of(cloud.sensor, workers)
+        return Cloud(self._of(cloud.points, workers), sensor)
+
+    def _of(self, points: Float, workers: int) -> Float:
+        result = np.empty(points.shape)
+
+        def turn(begin: int, end: int) -> None:
+            np.matmul(points[begin:end] - self.origin, self.axes.T, out=result[begin:end])
+
+        in_chunks(turn, len(points), workers)
+        return result
 
     def back(self, points: Float) -> Float:
         """Points (N, 3) of this frame in the frame of the cloud."""

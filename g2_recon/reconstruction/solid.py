@@ -38,6 +38,9 @@ _OFF_PLANE = 0.75
 _PATCH_CELLS = 40.0
 _PATCH_SIZE = 4.0
 _FLATNESS = 0.2
+# Over more than this many support distances no cell of a lattice has data near all of it, so that a lattice over them
+# would have none at all: scans farther apart, as those of a robot that turns, get a strip each.
+_GAP = 2.0
 
 
 def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: Progress = silent) -> Reconstruction:
@@ -47,7 +50,7 @@ def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: P
     """
     workers = config.workers or os.cpu_count() or 1
     frame = own_frame(cloud.points)
-    surface = _reported(lambda: find_surface(frame.of(cloud), config, workers), "normals", progress)
+    surface = _reported(lambda: find_surface(frame.of(cloud, workers=workers), config, workers), "normals", progress)
     clusters = _reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
     submaps, owner = build_submaps(surface, clusters, config, workers, progress)
     mesh = _reported(lambda: mesh_of_submaps(surface, submaps, owner, config, workers), "joining", progress)
@@ -88,6 +91,7 @@ def find_clusters(surface: SurfacePoints, config: ReconstructionConfig, workers:
         patch_size=_PATCH_SIZE * config.spacing,
         flatness=config.flatness or _FLATNESS * config.spacing,
         min_area=cell,
+        gap=_GAP * (config.support_distance or config.spacing),
         seed=config.seed,
         workers=workers,
     )

@@ -8,11 +8,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_grid import PointGrid, has_point_near, nearest_point
-from g2_recon.reconstruction.chunks import in_chunks
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 # Where a triangle is looked at for data: its center, near its corners and near the middle of its sides.
 _PLACES = np.array(
@@ -21,13 +22,20 @@ _PLACES = np.array(
 )
 
 
-def supported(vertices: Float, faces: Int, grid: PointGrid, distance: float) -> NDArray[np.bool_]:
+def supported(vertices: Float, faces: Int, grid: PointGrid, distance: float, workers: int = 1) -> Mask:
     """Mask (F,) of the faces (F, 3) with data within `distance` metres of each of seven places on them.
 
     It keeps doors and windows open: a submap may span them, the data does not.
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-    return np.asarray(_supported(vertices, np.ascontiguousarray(faces, dtype=np.int64), grid, float(distance)))
+    faces = np.ascontiguousarray(faces, dtype=np.int64)
+    mask = np.zeros(len(faces), np.bool_)
+    in_chunks(
+        lambda begin, end: _fill_supported(vertices, faces, grid, float(distance), begin, end, mask),
+        len(faces),
+        workers,
+    )
+    return mask
 
 
 @numba.njit(cache=True, nogil=True)
@@ -44,16 +52,14 @@ def triangle_supported(vertices, a, b, c, grid, distance):  # type: ignore[no-un
 
 
 @numba.njit(cache=True, nogil=True)
-def _supported(vertices, faces, grid, distance):  # type: ignore[no-untyped-def]
-    mask = np.empty(len(faces), np.bool_)
-    for face in range(len(faces)):
+def _fill_supported(vertices, faces, grid, distance, begin, end, mask):  # type: ignore[no-untyped-def]
+    for face in range(begin, end):
         mask[face] = triangle_supported(vertices, faces[face, 0], faces[face, 1], faces[face, 2], grid, distance)
-    return mask
 
 
 def on_own_data(
     vertices: Float, faces: Int, submap: Int, grid: PointGrid, label: Int, distance: float, workers: int = 1
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Mask (F,) of the faces (F, 3) for which the point nearest to their middle belongs to their own submap.
 
     Others reach over the data of a neighbor, who covers it as well. submap: (F,). label: (N,) the submap of each point,

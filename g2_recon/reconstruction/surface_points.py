@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.chunks import in_chunks, taken
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.point_tree import PointTree, point_tree
-from g2_recon.reconstruction.chunks import in_chunks
 from g2_recon.reconstruction.normals import (
     SECTORS,
     LocalPlanes,
@@ -23,13 +23,12 @@ from g2_recon.reconstruction.normals import (
     orient_to_sensor,
     sharper_planes,
 )
+from g2_recon.reconstruction.usable_points import FEWEST_POINTS, distinct_points
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Codes = NDArray[np.uint64]
-
-FEWEST_POINTS = 10
 
 # A return with fewer others around it has no surface to lie on.
 _FEWEST_NEIGHBORS = 4
@@ -42,9 +41,6 @@ _VOXELS_PER_SPACING = 3
 
 # Morton codes hold 21 bits an axis.
 _MOST_VOXELS = 1 << 21
-
-# Where so many points show that there is a surface, no more are looked at.
-_SAMPLE = 1000
 
 # How often a search that found no plane is repeated over twice the distance.
 _WIDENINGS = 2
@@ -95,24 +91,24 @@ def prepare(
 ) -> SurfacePoints:
     """Estimate normals, noise and area weights of a cloud, and leave out what is on no surface.
 
-    spacing: m, of the neurons to come. A normal is that of the `neighbors` nearest points within `radius` (m); where
-    these lie on a line, as those of one scan do, farther ones are taken, up to four times the radius. Points with
-    fewer than four neighbors within the radius are left out, and so are points off the planes of their neighbors by
-    more than `off_plane` (m) and four times the noise. The result does not depend on `workers`.
+    cloud: of usable_points, finite and not on one line. spacing: m, of the neurons to come. A normal is that of the
+    `neighbors` nearest points within `radius` (m); where these lie on a line, as those of one scan do, farther ones are
+    taken, up to four times the radius. Points with fewer than four neighbors within the radius are left out, and so are
+    points off the planes of their neighbors by more than `off_plane` (m) and four times the noise. The result does not
+    depend on `workers`.
 
-    Raises InputError where fewer than ten distinct points remain, where all lie on one line, or where they spread over
-    more than 2**21 voxels of a third of the spacing.
+    Raises InputError where fewer than ten distinct points remain, or where they spread over more than 2**21 voxels of a
+    third of the spacing.
     """
-    index = _finite_rows(cloud)
-    points = cloud.points.take(index, axis=0)
-    _check_extent(points, len(cloud))
     voxel = spacing / _VOXELS_PER_SPACING
-    origin = np.array([column.min() for column in points.T])
-    cells, order = _spatial_order(points - origin, voxel)
-    kept = index[order]
-    points = cloud.points.take(kept, axis=0) - origin
-    sensor = None if cloud.sensor is None else cloud.sensor.take(kept, axis=0) - origin
-
+    origin = np.array([column.min() for column in cloud.points.T])
+    cells, kept = _spatial_order(cloud.points - origin, voxel)
+    points = taken(cloud.points, kept, workers)
+    points -= origin
+    sensor = None
+    if cloud.sensor is not None:
+        sensor = taken(cloud.sensor, kept, workers)
+        sensor -= origin
     tree = point_tree(points, workers=workers)
     local = _local_planes(points, sensor, cells, tree, radius, neighbors, workers)
     noise = float(np.median(local.deviation[local.spans])) if local.spans.any() else 0.0
@@ -122,21 +118,21 @@ def prepare(
         _median_distances(points, local.normals, local.around, workers) > max(_OFF_PLANE_NOISE * noise, off_plane)
     )
     good = np.flatnonzero(~isolated & ~off)
-    if _distinct(points.take(good, axis=0)) < FEWEST_POINTS:
+    good_points = taken(points, good, workers)
+    if distinct_points(good_points) < FEWEST_POINTS:
         raise InputError(
             f"only {len(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
             advice="choose a larger spacing; is the cloud in metres?",
         )
     links = _links_among(local.around, good, workers)
-    points, cells, kept, local = points.take(good, axis=0), cells[good], kept[good], local.select(good)
+    points, cells, kept, local = good_points, cells[good], kept[good], local.select(good, workers)
     normals = local.normals if sensor is not None else orient_consistently(points, local.normals, links)
     plane = sharper_planes(points, local.middles, normals, local.deviation, links, workers)
-    normals = normals.take(plane, axis=0)
+    normals = taken(normals, plane, workers)
     if sensor is not None:
-        normals = orient_to_sensor(points, normals, sensor.take(good, axis=0))
+        normals = orient_to_sensor(points, normals, taken(sensor, good, workers), workers)
     deviation = local.deviation[plane][local.spans[plane]]
     rejected = {
-        "not finite": len(cloud) - len(index),
         "isolated": int(np.count_nonzero(isolated)),
         "off the surface of their neighbors": int(np.count_nonzero(off)),
     }
@@ -156,36 +152,6 @@ def prepare(
 def first_of_runs(codes: Codes) -> Int:
     """The index of the first of each run of equal codes (N,): one point a voxel."""
     return np.flatnonzero(np.concatenate([[True], codes[1:] != codes[:-1]]))
-
-
-def _finite_rows(cloud: Cloud) -> Int:
-    finite = np.isfinite(cloud.points)
-    if cloud.sensor is not None:
-        finite &= np.isfinite(cloud.sensor)
-    # Several times faster than all(axis=1).
-    return np.flatnonzero(finite[:, 0] & finite[:, 1] & finite[:, 2])
-
-
-def _check_extent(points: Float, total: int) -> None:
-    distinct = _distinct(points)
-    if distinct < FEWEST_POINTS:
-        raise InputError(
-            f"the cloud has {distinct} distinct usable points of {total}",
-            advice=f"a surface needs at least {FEWEST_POINTS}",
-        )
-    if _on_line(points[:_SAMPLE]) and _on_line(points):
-        raise InputError("all points of the cloud lie on one line", advice="a surface needs points beside it")
-
-
-def _on_line(points: Float) -> bool:
-    extent = np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T))
-    return bool(extent[1] <= 1e-12 * extent[2])
-
-
-def _distinct(points: Float) -> int:
-    """How many of points (N, 3) differ; where the first few are enough for a surface, only of those."""
-    count = len(np.unique(points[:_SAMPLE], axis=0))
-    return count if count >= FEWEST_POINTS else len(np.unique(points, axis=0))
 
 
 def _spatial_order(points: Float, voxel: float) -> tuple[Codes, Int]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.triangles import area_vectors
 
 Float = NDArray[np.float64]
 
@@ -32,8 +33,6 @@ def face_towards_sensor(
     if cloud.sensor is None or not len(faces):
         return faces
     view = np.stack([np.bincount(bmu, (cloud.sensor - cloud.points)[:, axis], len(weights)) for axis in range(3)], 1)
-    first, second, third = (weights[faces[:, corner]] for corner in range(3))
-    normal = np.cross(second - first, third - first)
-    towards = np.einsum("fx,fx->f", normal, view[faces].sum(axis=1))
+    towards = np.einsum("fx,fx->f", area_vectors(weights, faces), view[faces].sum(axis=1))
     away = np.bincount(submap, towards, int(submap.max()) + 1) < 0
     return np.where(away[submap, None], faces[:, ::-1], faces)

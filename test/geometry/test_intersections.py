@@ -109,3 +109,4 @@ def test_large_and_small_faces_cross_as_if_each_pair_were_alone():
     assert crossing_pairs(vertices, faces).tolist() == expected
     chosen = rng.random(60) < 0.1
     assert crossing_pairs(vertices, faces, among=chosen).tolist() == [p for p in expected if chosen[p].any()]
+    assert crossing_pairs(vertices, faces, workers=3).tolist() == expected

@@ -168,6 +168,15 @@ def test_any_cloud_gives_finite_planes_or_a_clear_error(
     assert_sound(surface, clusters)
 
 
+def test_a_scan_farther_from_the_others_than_the_gap_is_a_cluster_of_its_own() -> None:
+    along, up = (grid.ravel() for grid in np.meshgrid([*np.arange(0.0, 1.0, 0.05), 1.6], np.arange(0.0, 3.0, 0.04)))
+    points = np.column_stack([along, np.zeros_like(along), up])
+    surface = prepare(Cloud(points, points + (0.0, 2.0, 0.0)))
+    alone = surface.points[:, 0] > 1.2
+    assert purity(flat_clusters(surface, patch_area=10, gap=0.4).label, alone.astype(int)) == 1.0
+    assert len(flat_clusters(surface, patch_area=10, gap=0.8)) == 1
+
+
 def assert_sound(surface: SurfacePoints, clusters: FlatClusters) -> None:
     assert clusters.label.shape == (len(surface),)
     assert set(clusters.label) - {-1} == set(range(len(clusters)))
@@ -181,6 +190,9 @@ def test_clusters_are_parted_as_by_a_graph() -> None:
     neighbors = rng.integers(0, 500, (500, 2)).astype(np.int32)
     label = rng.integers(0, 4, 500)
     rows, columns = np.repeat(np.arange(500), 2), neighbors.ravel()
-    same = label[rows] == label[columns]
+    points = rng.random((500, 3))
+    near = np.linalg.norm(points[rows] - points[columns], axis=1) < 0.8
+    same = (label[rows] == label[columns]) & near
+    assert 0 < near.sum() < len(near)
     graph = coo_array((np.ones(same.sum()), (rows[same], columns[same])), shape=(500, 500))
-    assert (_connected(neighbors, label) == connected_components(graph, directed=False)[1]).all()
+    assert (_connected(points, neighbors, label, 0.8) == connected_components(graph, directed=False)[1]).all()

@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.point_tree import BLOCK, nearest_to_block, point_tree
+from g2_recon.geometry.union_find import groups, link
 from g2_recon.reconstruction.surface_points import SurfacePoints, first_of_runs
 
 Float = NDArray[np.float64]
@@ -68,6 +69,7 @@ _WELL = 0.25
 _AREA_LEVEL = 2
 _BLOCK_LEVEL = 3
 _NEAR_CLUSTERS = 32
+_ANY = 1e300  # m^2, a limit that is none
 
 # Points a task; results do not depend on the number of workers.
 _CHUNK = 16384
@@ -138,6 +140,7 @@ def flat_clusters(
     flatness: float = 0.04,
     normal_weight: float = 2.0,
     min_area: float = 0.04,
+    gap: float = 0.4,
     seed: int = 0,
     workers: int = 1,
 ) -> FlatClusters:
@@ -145,8 +148,8 @@ def flat_clusters(
 
     patch_area: m^2 of surface for one cluster at first; bends, edges and gaps part them further. patch_size, flatness:
     m, how far a point may well be from the center of its cluster and from its plane; flatness is at least 4.5 times the
-    noise. min_area: m^2, pieces that are smaller go to clusters next to them where they fit, else to none. The result
-    does not depend on `workers`.
+    noise. min_area: m^2, pieces that are smaller go to clusters next to them where they fit, else to none. gap: m, over
+    more than that no cluster hangs together. The result does not depend on `workers`.
 
     Raises InputError where no piece is large enough.
     """
@@ -154,30 +157,30 @@ def flat_clusters(
     bent = max(_THICK_FLATNESS * flatness, _THICK_NOISE * surface.noise)
     costs = _Costs(1 / patch_size**2, 1 / flatness**2, normal_weight)
     origin = surface.points.mean(axis=0)
-    everything = _sample(surface, origin, np.arange(len(surface)))
+    everything = _sample(surface, origin, slice(None))
     thinned = _sample(surface, origin, first_of_runs(surface.cells))
     with ThreadPoolExecutor(workers) as pool:
         planes = _seeded(thinned, costs, _area(surface) / patch_area, seed, pool)
         planes = _flattened(thinned, planes, costs, bent, pool)
         label = _assign(everything, planes, costs, pool)
-        label = _connected(surface.neighbors, label)
+        label = _connected(everything.points, surface.neighbors, label, gap)
         planes = _fit(everything, label, pool)
         label = _without_scraps(everything, surface, label, planes, costs, min_area)
         planes = _trimmed_fit(everything, label, surface.noise, pool)
     return FlatClusters(label, planes.centers + origin, planes.normals, planes.thickness)
 
 
-def _sample(surface: SurfacePoints, origin: Float, rows: Int) -> _Sample:
+def _sample(surface: SurfacePoints, origin: Float, rows: Int | slice) -> _Sample:
     """The points `rows` of the surface, relative to origin."""
     points = surface.points[rows] - origin
     code = surface.cells[rows] >> np.uint64(3 * _BLOCK_LEVEL)
     first = first_of_runs(code)
-    count = np.diff(np.append(first, len(rows)))
+    count = np.diff(np.append(first, len(points)))
     middles = np.add.reduceat(points, first) / count[:, None]
     return _Sample(
         points=points,
         normals=surface.normals[rows],
-        weights=surface.weights[rows] if len(rows) == len(surface) else np.ones(len(rows)),
+        weights=surface.weights if len(points) == len(surface) else np.ones(len(points)),
         block=np.repeat(np.arange(len(first)), count),
         middles=middles,
         reach=surface.voxel * 2**_BLOCK_LEVEL * np.sqrt(3),
@@ -191,7 +194,8 @@ def _area(surface: SurfacePoints) -> float:
     """
     code = surface.cells >> np.uint64(3 * _AREA_LEVEL)
     first = first_of_runs(code)
-    crossed = np.add.reduceat(np.abs(surface.normals).sum(axis=1), first) / np.diff(np.append(first, len(code)))
+    x, y, z = np.abs(surface.normals.T)
+    crossed = np.add.reduceat(x + y + z, first) / np.diff(np.append(first, len(code)))
     return float((1 / crossed).sum()) * (surface.voxel * 2**_AREA_LEVEL) ** 2
 
 
@@ -235,12 +239,13 @@ def _flattened(sample: _Sample, planes: _Planes, costs: _Costs, bent: float, poo
 
 def _numbered(label: Int) -> Int:
     """The same clusters (M,), numbered from 0 without gaps."""
-    return np.unique(label, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    used = np.bincount(label) > 0
+    return (np.cumsum(used) - 1)[label]
 
 
 def _without_misfits(sample: _Sample, label: Int, planes: _Planes, costs: _Costs) -> Int:
     """Labels (M,) after the points of a cluster that its plane does not fit became a cluster, where they are many."""
-    cost = _misfit(sample.points, sample.normals, planes, label, costs)
+    cost = _misfits(sample.points, sample.normals, label, planes.centers, planes.normals, costs.height, costs.turn)
     rows = np.flatnonzero(cost > costs.turn)
     many = np.bincount(label[rows], minlength=len(planes)) >= _LEAST_MISFITS
     rows = rows[many[label[rows]]]
@@ -249,11 +254,23 @@ def _without_misfits(sample: _Sample, label: Int, planes: _Planes, costs: _Costs
     return label
 
 
-def _misfit(points: Float, normals: Float, planes: _Planes, label: Int, costs: _Costs) -> Float:
-    """What the height and the turn of points (..., 3) cost in their clusters (...)."""
-    height = np.einsum("...i,...i->...", points - planes.centers[label], planes.normals[label])
-    cos = np.einsum("...i,...i->...", normals, planes.normals[label])
-    return np.asarray(height**2 * costs.height + (1.0 - cos) * costs.turn)
+@numba.njit(cache=True, nogil=True)
+def _misfits(points, normals, label, centers, planes, height, turn):  # type: ignore[no-untyped-def]
+    """What the height and the turn of each point cost (M,) in its cluster."""
+    cost = np.empty(len(points))
+    for i in range(len(points)):
+        cost[i] = _misfit(points, normals, i, centers, planes, label[i], height, turn)
+    return cost
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _misfit(points, normals, i, centers, planes, k, height, turn):  # type: ignore[no-untyped-def]
+    """What the height and the turn of point i cost in cluster k."""
+    off, cos = 0.0, 0.0
+    for axis in range(3):
+        off += (points[i, axis] - centers[k, axis]) * planes[k, axis]
+        cos += normals[i, axis] * planes[k, axis]
+    return off * off * height + (1.0 - cos) * turn
 
 
 def _split(sample: _Sample, label: Int, which: NDArray[np.bool_], scale: float) -> Int:
@@ -282,14 +299,13 @@ def _split(sample: _Sample, label: Int, which: NDArray[np.bool_], scale: float) 
 
 def _assign(sample: _Sample, planes: _Planes, costs: _Costs, pool: ThreadPoolExecutor) -> Int:
     """The cheapest cluster (M,) for each point among the 32 whose centers are nearest to its block."""
-    tree = cKDTree(planes.centers)
-    nearest = np.arange(1, min(_NEAR_CLUSTERS, len(planes)) + 1)
+    tree = point_tree(planes.centers)
     label = np.empty(len(sample), np.int64)
 
     def assign(start: int) -> None:
         part = slice(start, start + _CHUNK)
         block = sample.block[part]
-        distance, near = tree.query(sample.middles[block[0] : block[-1] + 1], k=nearest)
+        distance, near = _nearest_centers(tree, sample.middles[block[0] : block[-1] + 1])
         _assign_points(
             sample.points[part],
             sample.normals[part],
@@ -306,6 +322,21 @@ def _assign(sample: _Sample, planes: _Planes, costs: _Costs, pool: ThreadPoolExe
 
     list(pool.map(assign, range(0, len(sample), _CHUNK)))
     return label
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest_centers(tree, middles):  # type: ignore[no-untyped-def]
+    """Distance (B, k) m and number (B, k) of the 32 centers nearest to the middle of each block, or of all."""
+    count = min(_NEAR_CLUSTERS, len(tree.number))
+    distance, number = np.empty((len(middles), count)), np.empty((len(middles), count), np.int64)
+    found = np.empty(BLOCK, np.int64)
+    for begin in range(0, len(middles), BLOCK):
+        part = slice(begin, min(begin + BLOCK, len(middles)))
+        nearest_to_block(tree, middles[part], _ANY, distance[part], number[part], found)
+    for b in range(len(middles)):
+        for n in range(count):
+            distance[b, n], number[b, n] = np.sqrt(distance[b, n]), tree.number[number[b, n]]
+    return distance, number
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
@@ -329,37 +360,18 @@ def _assign_points(points, normals, block, near, least, centers, planes, distanc
 
 
 @numba.njit(cache=True, nogil=True)
-def _connected(neighbors, label):  # type: ignore[no-untyped-def]
-    """The clusters (N,) after parting those that do not hang together over neighbors (N, m), by their first points."""
+def _connected(points, neighbors, label, gap):  # type: ignore[no-untyped-def]
+    """The clusters (N,) after parting those that do not hang together, numbered by their first points.
+
+    Points hang together over neighbors (N, m) that are not farther than the gap (m).
+    """
     parent = np.arange(len(label))
     for i in range(len(label)):
         for j in neighbors[i]:
-            if label[j] != label[i]:
-                continue
-            one, other = _root(parent, i), _root(parent, j)
-            # The earliest point is the root, so that the numbers do not depend on the order of links.
-            if one < other:
-                parent[other] = one
-            else:
-                parent[one] = other
-    number = np.empty(len(label), np.int64)
-    count = 0
-    for i in range(len(label)):
-        root = _root(parent, i)
-        if root == i:
-            number[i] = count
-            count += 1
-        else:
-            number[i] = number[root]
-    return number
-
-
-@numba.njit(cache=True, nogil=True)
-def _root(parent, i):  # type: ignore[no-untyped-def]
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
+            x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+            if label[j] == label[i] and x * x + y * y + z * z <= gap * gap:
+                link(parent, i, j)
+    return groups(parent)[0]
 
 
 def _without_scraps(
@@ -393,15 +405,38 @@ def _adopted(sample: _Sample, surface: SurfacePoints, label: Int, planes: _Plane
     Where the misfit with all of them is more than `limit` they stay without.
     """
     label = label.copy()
+    rows = np.flatnonzero(label < 0)
     for _ in range(_ADOPTIONS):
-        rows = np.flatnonzero(label < 0)
-        cluster = label[surface.neighbors[rows]]
-        misfit = _misfit(sample.points[rows, None], sample.normals[rows, None], planes, cluster, costs)
-        cost = np.where(cluster < 0, np.inf, misfit)
-        best = cost.argmin(axis=1)
-        each = np.arange(len(rows))
-        label[rows] = np.where(cost[each, best] < limit, cluster[each, best], -1)
+        label[rows] = _adopting(
+            sample.points,
+            sample.normals,
+            rows,
+            surface.neighbors,
+            label,
+            planes.centers,
+            planes.normals,
+            costs.height,
+            costs.turn,
+            limit,
+        )
+        rows = rows[label[rows] < 0]
     return label
+
+
+@numba.njit(cache=True, nogil=True)
+def _adopting(  # type: ignore[no-untyped-def]
+    points, normals, rows, neighbors, label, centers, planes, height, turn, limit
+):
+    """The cluster (n,) among those of the neighbors of each of the rows (n,) that it costs least, below the limit."""
+    best = np.full(len(rows), -1)
+    for n in range(len(rows)):
+        least = limit
+        for j in neighbors[rows[n]]:
+            if label[j] >= 0:
+                cost = _misfit(points, normals, rows[n], centers, planes, label[j], height, turn)
+                if cost < least:
+                    best[n], least = label[j], cost
+    return best
 
 
 def _fit(sample: _Sample, label: Int, pool: ThreadPoolExecutor) -> _Planes:
