@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 
 import g2_recon
-from g2_recon import config, pictures, pipeline
+from g2_recon import config, joint_pipeline, pictures, pipeline
 from g2_recon.config import (
     G2ReconConfig,
     LocalizationConfig,
@@ -105,16 +105,41 @@ def run_demo(options: argparse.Namespace, console: Console) -> None:
 
 
 def run_recording(options: argparse.Namespace, console: Console) -> None:
-    """Run the whole way on a recording."""
+    """Run the whole way on a recording, or on those of several robots."""
     settings = config.load(options.config) if options.config else G2ReconConfig()
-    folder = options.output or Path("out") / _stem(options.recording)
+    folder = options.output or Path("out") / "_".join(_robot_names(options.recordings))
     settings = _overridden(settings, options)
     # No other name in the folder can be that of settings, of a session or of a recording.
     session = Path(settings.localization.map).expanduser() if settings.localization.map else None
     _check_files(
         [folder / "config.yaml", folder / "map.yaml", folder / "session.npz"], inputs=[options.config, session]
     )
-    _run(options.recording, folder, settings, console)
+    if len(options.recordings) > 1:
+        _run_together(options.recordings, folder, settings, console)
+    else:
+        _run(options.recordings[0], folder, settings, console)
+
+
+def _robot_names(recordings: Sequence[Path]) -> list[str]:
+    """Names of the robots of recordings. Raises InputError where two are the same."""
+    names = [_stem(path) for path in recordings]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise InputError("two recordings have this name, which is that of a robot", where=name)
+    return names
+
+
+def _run_together(paths: Sequence[Path], folder: Path, settings: G2ReconConfig, console: Console) -> None:
+    with stages(console) as progress:
+        recordings = {
+            name: read_recording(path, settings.recording, progress=progress)
+            for name, path in zip(_robot_names(paths), paths, strict=True)
+        }
+        result = joint_pipeline.run(recordings, settings, progress=progress)
+        summary = joint_pipeline.summarize(result)
+        summary["seconds"] = {name: round(seconds, 2) for name, seconds in progress.seconds.items()}
+        joint_pipeline.write_run(result, settings, folder, summary=summary, progress=progress)
+    _print_summary(summary, progress, folder, console)
 
 
 def _run(recording_path: Path, folder: Path, settings: G2ReconConfig, console: Console) -> None:
@@ -429,6 +454,8 @@ def _print_summary(summary: Mapping[str, Any], progress: StageProgress, folder: 
     }
     if "trajectory_error_m" in summary:
         rows["mean trajectory error"] = f"{100 * summary['trajectory_error_m']:.2f} cm"
+    for name, robot in summary.get("robots", {}).items():
+        rows[name] = "in the map" if robot["in_map"] else f"not in the map, {robot['state']}: {robot['reason']}"
     rows |= {f"dropped: {reason}": f"{count:,}" for reason, count in summary["dropped"].items()}
     print_table("done", rows, progress, console)
     print_paths({"files": folder}, console)
@@ -503,9 +530,15 @@ def build_parser() -> argparse.ArgumentParser:
     demo = add("demo", run_demo, "the whole way on the recording that comes with g2-recon")
     demo.add_argument("-o", "--output", metavar="DIR", type=Path, default=Path("out/demo"), help="default: %(default)s")
 
-    run = add("run", run_recording, "the whole way on one recording: trajectory, cloud, meshes, pictures")
+    run = add(
+        "run", run_recording, "the whole way on a recording, or one a robot: trajectories, cloud, meshes, pictures"
+    )
     run.add_argument(
-        "recording", metavar="BAG", type=Path, help="a ROS 1 or ROS 2 bag with a horizontal and a vertical laser"
+        "recordings",
+        metavar="BAG",
+        type=Path,
+        nargs="+",
+        help="a ROS 1 or ROS 2 bag with a horizontal and a vertical laser; several, one a robot, become one map",
     )
     run.add_argument("-o", "--output", metavar="DIR", type=Path, help="folder for all results; default: out/NAME")
     run.add_argument("--config", metavar="FILE", type=Path, help="settings as YAML, as in a result's config.yaml")

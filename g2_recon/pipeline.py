@@ -27,7 +27,7 @@ from g2_recon.geometry.session import Session
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.localizer import Localizer
-from g2_recon.localization.methods import make_localizer
+from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.reconstructor import Reconstruction, reconstruct
 from g2_recon.recording.clouds import write_cloud
@@ -69,6 +69,15 @@ class Localization:
     loops: int
     odometry_jumps: int
     session: Session | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """A localizer that has seen a whole recording, the grid of its keyframes, and T_map_base as known at each scan."""
+
+    localizer: AnyLocalizer
+    grid: KeyframeGrid
+    causal: Trajectory
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +127,11 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
     Raises InputError where no scan can be used, or the map to go on in cannot be read or is too large; a trajectory
     that many scans do not fit is logged as doubtful.
     """
+    return localization_of(map_recording(recording, settings, progress=progress), progress=progress)
+
+
+def map_recording(recording: Recording, settings: LocalizationConfig, *, progress: Progress = silent) -> Mapped:
+    """A localizer that has seen a whole recording. Raises and logs as `localize`."""
     if not recording.scans:
         raise InputError("the recording holds no scan of a horizontal laser", advice="name its topic with scan_topic")
     T_base_laser = mounting_pose("localization", settings.laser_pose, recording.T_base_laser)
@@ -146,12 +160,18 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
         )
     causal = localizer.causal_trajectory()
     localizer.finish(progress)
+    return Mapped(localizer, grid, causal)
+
+
+def localization_of(mapped: Mapped, *, progress: Progress = silent) -> Localization:
+    """What a localizer knows now."""
+    localizer = mapped.localizer
     return Localization(
         localizer.trajectory(),
-        causal,
+        mapped.causal,
         localizer.point_map(),
-        _finished_grid(grid, localizer.keyframes(), progress),
-        len(grid),
+        finished_grid(mapped.grid, localizer.keyframes(), progress),
+        len(mapped.grid),
         localizer.unmatched,
         localizer.loops,
         localizer.odometry_jumps,
@@ -159,7 +179,7 @@ def localize(recording: Recording, settings: LocalizationConfig, *, progress: Pr
     )
 
 
-def _finished_grid(grid: KeyframeGrid, keyframes: Trajectory, progress: Progress) -> OccupancyGrid | None:
+def finished_grid(grid: KeyframeGrid, keyframes: Trajectory, progress: Progress) -> OccupancyGrid | None:
     """The occupancy grid at the final poses of the keyframes; what had to be left out of it is logged."""
     poses = keyframes.planar()
     while not grid.update(poses, most=64):

@@ -407,6 +407,14 @@ class Localizer:
             progress("matching all scans", 1, 1)
         self._tracker.moved()
 
+    def move_keyframes(self, poses: ArrayLike) -> None:
+        """Take T_map_laser (N, 3) of all keyframes from a map that knows more, as of several robots; scans follow."""
+        self._take_loops()
+        self._keyframes.poses[:] = poses
+        if self._keep_scans:
+            self._refine_scans()
+        self._tracker.moved()
+
     def _close_more_loops(self, progress: Progress) -> None:
         """Once all is in place, more places turn out to be the same ones."""
         new = self._finish_local_map()
