@@ -200,7 +200,7 @@ def test_save_before_a_reconstruction_writes_the_cloud_and_says_so(node, tmp_pat
     robot.wait_for_points(500)
     answer = robot.call(Trigger, "reconstruct_node/save")
     assert answer.success and "call ~/reconstruct first" in answer.message
-    assert [file.name for file in tmp_path.iterdir()] == ["cloud.ply"]
+    assert {file.name for file in tmp_path.iterdir()} == {"cloud.ply", "clouds.journal"}
 
 
 def test_save_to_a_place_that_cannot_be_written_says_so(node, tmp_path):
