@@ -38,7 +38,7 @@ _OFF_PLANE = 0.75
 _PATCH_CELLS = 40.0
 _PATCH_SIZE = 4.0
 _FLATNESS = 0.2
-# Over more than this many support distances no cell of a lattice has data near all of it, so that a lattice over them
+# Over more than this many spacings, or support distances, no cell has data near all of it, so that a lattice over them
 # would have none at all: scans farther apart, as those of a robot that turns, get a strip each.
 _GAP = 2.0
 
@@ -91,7 +91,7 @@ def find_clusters(surface: SurfacePoints, config: ReconstructionConfig, workers:
         patch_size=_PATCH_SIZE * config.spacing,
         flatness=config.flatness or _FLATNESS * config.spacing,
         min_area=cell,
-        gap=_GAP * (config.support_distance or config.spacing),
+        gap=_GAP * max(config.support_distance or 0.0, config.spacing),
         seed=config.seed,
         workers=workers,
     )
