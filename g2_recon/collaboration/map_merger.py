@@ -54,13 +54,17 @@ def merge(
     first = order.pop(0)
     world = _moved(sessions[first], known.get(first, se2.IDENTITY))
     rows = {first: slice(0, len(world))}
-    alignments = {first: _given(known.get(first, se2.IDENTITY), sessions[first])}
+    alignments = {first: _given(known.get(first, se2.IDENTITY), sessions[first], "the world is where its map is")}
     waiting = order
     while waiting:
         # Who has found no place may find one when others are in.
         for name in waiting:
             session = sessions[name]
-            alignment = _given(known[name], session) if name in known else align(world, session, progress=progress)
+            alignment = (
+                _given(known[name], session, "its start is given")
+                if name in known
+                else align(world, session, progress=progress)
+            )
             alignments[name] = alignment
             if alignment.state == "aligned":
                 count = len(world)
@@ -83,7 +87,5 @@ def _moved(session: Session, T: Float) -> Session:
     return replace(session, poses=se2.compose(T, session.poses))
 
 
-def _given(T: Float, session: Session) -> Alignment:
-    return Alignment(
-        "aligned", "its start is given", T, 0.0, 1.0, np.diag(_GIVEN_SIGMA**2), np.arange(len(session), dtype=np.int64)
-    )
+def _given(T: Float, session: Session, reason: str) -> Alignment:
+    return Alignment("aligned", reason, T, 0.0, 1.0, np.diag(_GIVEN_SIGMA**2), np.arange(len(session), dtype=np.int64))
