@@ -45,10 +45,11 @@ _AROUND_M = 12.0
 # A keyframe has been where the other robot was if it shares this much of its points with it.
 _SHARED = 0.3
 # It is believed with at least so much way in common, m, and this share of agreement there, more where only one part
-# speaks for it; another one with this share of what it explains makes it ambiguous, unless that is contradicted more
-# than this.
+# speaks for it.
 _LEAST_WAY_M, _LEAST_AGREEMENT, _LEAST_ALONE = 8.0, 0.87, 0.94
-_RIVAL_SHARE, _RIVAL_AGREEMENT = 0.7, 0.8
+# Another one with this share of its way makes it ambiguous, unless that is contradicted so many times as much, and more
+# than noise does.
+_RIVAL_SHARE, _RIVAL_CONTRADICTED, _NOISE_CONTRADICTED = 0.7, 3.0, 0.02
 # It has to hold in all directions, m.
 _MOST_SIGMA_M = 0.1
 # Headings count as much as a point so far ahead, m.
@@ -251,8 +252,9 @@ def _believed(best: Alignment, rivals: list[Alignment]) -> Alignment:
     sigma = math.sqrt(np.linalg.eigvalsh(best.covariance[:2, :2])[1])
     if sigma > _MOST_SIGMA_M:
         return _with(best, "ambiguous", f"along one direction nothing holds it: sigma {sigma:.2f} m")
+    told_apart = _RIVAL_CONTRADICTED * (1 - best.agreement) + _NOISE_CONTRADICTED
     for other in rivals:
-        if other.way > _RIVAL_SHARE * best.way and other.agreement > _RIVAL_AGREEMENT:
+        if other.way > _RIVAL_SHARE * best.way and 1 - other.agreement < told_apart:
             return _with(best, "ambiguous", f"another place has {other.way:.1f} m of way in common, too")
     return best
 

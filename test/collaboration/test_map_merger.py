@@ -159,6 +159,7 @@ def judged(way, agreement, *, sigma=0.01, parts=3):
         (judged(40, 0.97), [], "aligned", ""),
         (judged(40, 0.97), [judged(30, 0.5)], "aligned", ""),
         (judged(40, 0.97), [judged(35, 0.95)], "ambiguous", "another place"),
+        (judged(40, 0.998), [judged(40, 0.96)], "aligned", ""),
         (judged(40, 0.97, sigma=2.0), [], "ambiguous", "one direction"),
         (judged(3, 0.99), [], "rejected", "way in common"),
         (judged(40, 0.6), [], "rejected", "agrees by 0.60"),
