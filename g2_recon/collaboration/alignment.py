@@ -164,7 +164,7 @@ def _agreed(places: list[Place], owners: Int, moving: Float) -> list[_Hypothesis
     for m in np.lexsort((np.arange(len(places)), -values, -support)):
         if not any(_alike(transforms[m], other.T_fixed_moving, moving) for other in result):
             rows = behind[m]
-            T = _fitted(moving[owners[rows]], poses[rows])
+            T = fitted(moving[owners[rows]], poses[rows])
             result.append(_Hypothesis(T, owners[rows], transforms[rows], values[rows], places[m].information))
     return result
 
@@ -181,7 +181,7 @@ def _near(T: Float, poses: Float, moving: Float) -> NDArray[np.bool_]:
     return np.asarray((np.hypot(off[:, 0], off[:, 1]) < _SAME_M) & (np.abs(off[:, 2]) < _SAME_RAD))
 
 
-def _fitted(moving: Float, poses: Float) -> Float:
+def fitted(moving: Float, poses: Float) -> Float:
     """The transform (3,) that brings poses (P, 3) nearest to others, by least squares (Umeyama, PAMI 1991)."""
     ahead = np.array([_AHEAD_M, 0.0, 0.0])
     a = np.concatenate([moving[:, :2], se2.compose(moving, ahead)[:, :2]])

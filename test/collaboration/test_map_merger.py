@@ -78,7 +78,7 @@ def errors(session, simulation):
     assert known.all()
     mount = se2.from_se3(simulation.recording.T_base_laser)
     true_poses = se2.compose(se2.from_se3(truth), mount)
-    motion = alignment._fitted(session.poses, true_poses)
+    motion = alignment.fitted(session.poses, true_poses)
     off = se2.relative(true_poses, se2.compose(motion, session.poses))
     return np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
 
@@ -136,7 +136,7 @@ def test_a_rigid_motion_is_found_from_poses():
     rng = np.random.default_rng(0)
     poses = rng.uniform(-5, 5, (10, 3))
     T = np.array([3.0, -1.0, 2.5])
-    assert alignment._fitted(poses, se2.compose(T, poses)) == pytest.approx(T)
+    assert alignment.fitted(poses, se2.compose(T, poses)) == pytest.approx(T)
 
 
 @pytest.mark.parametrize("count", [1, 15, 40, 400])
