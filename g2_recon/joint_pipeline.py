@@ -84,7 +84,7 @@ def run(recordings: Mapping[str, Recording], settings: G2ReconConfig, *, progres
             localizers[name].move_keyframes(merged.poses(name))
         else:
             _log.warning("%s is not in the map: %s", name, merged.alignments[name].reason)
-        found = pipeline.localization_of(mapped[name], progress=progress)
+        found = pipeline.localization_of(mapped[name], with_grid=False, progress=progress)
         registered = pipeline.register(recording, found.trajectory, settings.registration, progress=progress)
         drops = dict(Counter(recording.drops) + Counter(registered.drops))
         robots[name] = RobotRun(found, registered, merged.alignments[name], name in merged.rows, drops)
@@ -103,19 +103,13 @@ def _grid(merged: JointMap, settings: G2ReconConfig, progress: Progress) -> Occu
 
 def summarize(result: JointRun) -> dict[str, Any]:
     """The counts of a run, ready for JSON."""
-    wire = result.reconstruction.wire_mesh
     runs = result.robots.values()
     drops = sum((Counter(run.drops) for run in runs), Counter(result.reconstruction.left_out))
     return {
         "version": __version__,
         "robots": {name: _summarize_robot(run) for name, run in result.robots.items()},
         "path_length_m": round(sum(run.localization.trajectory.length() for run in runs), 3),
-        "points": result.reconstruction.points,
-        "clusters": result.reconstruction.clusters,
-        "neurons": len(wire.vertices),
-        "joins": int(wire.join.sum()),
-        "faces": len(result.reconstruction.mesh.faces),
-        "quantization_error_m": round(result.reconstruction.quantization_error, 5),
+        **pipeline.summarize_surface(result.reconstruction),
         "dropped": dict(drops),
     }
 

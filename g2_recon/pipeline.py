@@ -163,14 +163,14 @@ def map_recording(recording: Recording, settings: LocalizationConfig, *, progres
     return Mapped(localizer, grid, causal)
 
 
-def localization_of(mapped: Mapped, *, progress: Progress = silent) -> Localization:
-    """What a localizer knows now."""
+def localization_of(mapped: Mapped, *, with_grid: bool = True, progress: Progress = silent) -> Localization:
+    """What a localizer knows now; its own occupancy grid is not needed where there is one of several robots."""
     localizer = mapped.localizer
     return Localization(
         localizer.trajectory(),
         mapped.causal,
         localizer.point_map(),
-        finished_grid(mapped.grid, localizer.keyframes(), progress),
+        finished_grid(mapped.grid, localizer.keyframes(), progress) if with_grid else None,
         len(mapped.grid),
         localizer.unmatched,
         localizer.loops,
@@ -353,7 +353,6 @@ def mounting_pose(stage: str, setting: tuple[float, ...], recorded: Float | None
 
 def summarize(result: Run) -> dict[str, Any]:
     """The counts of a run, ready for JSON."""
-    wire = result.reconstruction.wire_mesh
     return {
         "version": __version__,
         "scans": len(result.localization.trajectory),
@@ -362,13 +361,21 @@ def summarize(result: Run) -> dict[str, Any]:
         "odometry_jumps": result.localization.odometry_jumps,
         "path_length_m": round(result.localization.trajectory.length(), 3),
         "vertical_scans": result.registration.scans,
-        "points": result.reconstruction.points,
-        "clusters": result.reconstruction.clusters,
+        **summarize_surface(result.reconstruction),
+        "dropped": result.drops,
+    }
+
+
+def summarize_surface(reconstruction: Reconstruction) -> dict[str, Any]:
+    """The counts of a reconstruction, ready for JSON."""
+    wire = reconstruction.wire_mesh
+    return {
+        "points": reconstruction.points,
+        "clusters": reconstruction.clusters,
         "neurons": len(wire.vertices),
         "joins": int(wire.join.sum()),
-        "faces": len(result.reconstruction.mesh.faces),
-        "quantization_error_m": round(result.reconstruction.quantization_error, 5),
-        "dropped": result.drops,
+        "faces": len(reconstruction.mesh.faces),
+        "quantization_error_m": round(reconstruction.quantization_error, 5),
     }
 
 

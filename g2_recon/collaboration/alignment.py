@@ -62,7 +62,7 @@ class Alignment:
 
     state: whether it can be believed; reason: why not, in words. T_fixed_moving: (3,) x, y, yaw, the best that was
     found. way: m that both have in common. agreement: share of the points there that both see, contradictions counted
-    twice. covariance: (3, 3) of the transform.
+    twice. covariance: (3, 3) of the transform. keyframes: (P,) of the moving map that were found where it brings them.
     """
 
     state: State
@@ -91,8 +91,8 @@ class _Hypothesis:
 
 def align(fixed: Session, moving: Session, *, progress: Progress = silent) -> Alignment:
     """Find the map `moving` in the map `fixed`. Raises InputError where that is too large to search."""
-    whole = WholeMap(_keyframes(fixed))
-    scans = _keyframes(moving)
+    whole = WholeMap(Keyframes.of_session(fixed))
+    scans = Keyframes.of_session(moving)
     hypotheses = _hypotheses(whole, scans, progress)
     if not hypotheses:
         return _nothing("no part of the map was found in the other one")
@@ -103,13 +103,6 @@ def align(fixed: Session, moving: Session, *, progress: Progress = silent) -> Al
     # The ends of a bent map are elsewhere without contradicting each other.
     rivals = [alignment for alignment, hypothesis in others if np.isin(hypothesis.owners, best[1].owners).any()]
     return _believed(best[0], rivals)
-
-
-def _keyframes(session: Session) -> Keyframes:
-    keyframes = Keyframes()
-    arrays = session.points, session.normals, session.kinds, session.firsts, session.increments
-    keyframes.fill(session.poses, arrays)
-    return keyframes
 
 
 def _hypotheses(whole: WholeMap, scans: Keyframes, progress: Progress) -> list[_Hypothesis]:
@@ -208,12 +201,11 @@ def _judged(hypothesis: _Hypothesis, whole: WholeMap, fixed: Session, moving: Se
     nearest = off.argmin(axis=1)
     rows = np.flatnonzero(off.min(axis=1) < _AROUND_M)[::_STRIDE]
     counts = np.zeros((len(rows), 4), int)
-    arrays = fixed.points, fixed.normals, fixed.kinds, fixed.firsts, fixed.increments
     for m, k in enumerate(rows):
         pose = se2.compose(hypothesis.transforms[nearest[k]], scans.poses[k])
         chosen = whole.seen_from(pose, _beams(moving, k), _WITNESSES)
         one = tuple(array[k : k + 1] for array in scans.arrays)
-        against_map = (*one, chosen[None], fixed.poses, *arrays)
+        against_map = (*one, chosen[None], fixed.poses, *fixed.beams)
         counts[m] = judge_group(pose, np.zeros((1, 3)), *against_map)
     seen = np.count_nonzero(moving.kinds[rows], axis=1)
     same, against, still, gone = counts.T

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry import se2
-from g2_recon.geometry.session import Session
+from g2_recon.geometry.session import Session, widened
 from g2_recon.localization import refinement
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.loop_closure import LoopCloser
@@ -31,12 +31,9 @@ def joined(fixed: Session, moving: Session, T_fixed_moving: Float, found: Int) -
     loops are looked for first, and then, once the maps have been bent to fit there, everywhere.
     """
     both = _laid_together(fixed, moving, T_fixed_moving)
-    keyframes = Keyframes()
-    arrays = both.points, both.normals, both.kinds, both.firsts, both.increments
-    keyframes.fill(both.poses, arrays)
     graph = LoopCloser()
-    graph.resume(keyframes, both.local_maps, both.ways, both.loops, both.loop_information)
-    begins = both.local_maps
+    graph.resume(Keyframes.of_session(both), both.local_maps, both.ways, both.loops, both.loop_information)
+    before, begins = graph.poses.copy(), both.local_maps
     first = np.searchsorted(begins, len(fixed))
     surely = np.unique(np.searchsorted(begins, len(fixed) + found, side="right") - 1)
     for c in surely:
@@ -45,22 +42,14 @@ def joined(fixed: Session, moving: Session, T_fixed_moving: Float, found: Int) -
     for c in range(int(first), len(begins)):
         graph.close(c)
     graph.optimize()
-    step = se2.compose(graph.poses, se2.inverse(keyframes.poses[[local.reference for local in graph.maps]]))
-    poses = se2.compose(step[np.searchsorted(begins, np.arange(len(both)), side="right") - 1], both.poses)
-    loops = graph.credible()
-    return replace(
-        both,
-        poses=poses,
-        loops=np.array([loop[:2] for loop in loops], np.int64).reshape(-1, 2),
-        loop_information=np.array([loop[3] for loop in loops]).reshape(-1, 3, 3),
-    )
+    loops, information = graph.credible()
+    poses = graph.carried_along(both.poses, before)
+    return replace(both, poses=poses, loops=loops, loop_information=information)
 
 
 def refined(session: Session, *, progress: Progress = silent) -> Session:
     """The same session with all its keyframes laid on all that saw the same place, at once."""
-    keyframes = Keyframes()
-    arrays = session.points, session.normals, session.kinds, session.firsts, session.increments
-    keyframes.fill(session.poses, arrays)
+    keyframes = Keyframes.of_session(session)
     poses = refinement.refine(keyframes, session.ways, session.wheel_steps, session.broken, progress=progress)
     return replace(session, poses=poses)
 
@@ -69,7 +58,7 @@ def _laid_together(fixed: Session, moving: Session, T_fixed_moving: Float) -> Se
     """The keyframes and loops of two sessions one after the other."""
     beams = max(fixed.kinds.shape[1], moving.kinds.shape[1])
     both = {
-        name: np.concatenate([_widened(getattr(fixed, name), beams), _widened(getattr(moving, name), beams)])
+        name: np.concatenate([widened(getattr(fixed, name), beams), widened(getattr(moving, name), beams)])
         for name in ("points", "normals", "kinds")
     }
     wheel_steps, broken = moving.wheel_steps.copy(), moving.broken.copy()
@@ -87,9 +76,3 @@ def _laid_together(fixed: Session, moving: Session, T_fixed_moving: Float) -> Se
         loops=np.concatenate([fixed.loops, moving.loops + len(fixed.local_maps)]),
         loop_information=np.concatenate([fixed.loop_information, moving.loop_information]),
     )
-
-
-def _widened(rows: NDArray[np.generic], beams: int) -> NDArray[np.generic]:
-    """Rows (N, B, ...) with invalid beams (0) behind the last."""
-    missing = beams - rows.shape[1]
-    return np.pad(rows, [(0, 0), (0, missing), *[(0, 0)] * (rows.ndim - 2)])

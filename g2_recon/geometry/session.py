@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +84,11 @@ class Session:
 
     def __len__(self) -> int:
         return len(self.poses)
+
+    @property
+    def beams(self) -> tuple[Float32, Float32, NDArray[np.uint8], Float, Float]:
+        """Points, normals, kinds, firsts and increments of the keyframes."""
+        return self.points, self.normals, self.kinds, self.firsts, self.increments
 
     def _check_keyframes(self) -> None:
         _within("stamps", self.stamps, 1e15)
@@ -177,6 +183,11 @@ class SessionGrowth:
 
 
 _ADVICE = "save it again"
+
+
+def widened(rows: NDArray[Any], beams: int) -> NDArray[Any]:
+    """Rows (N, B, ...) with as many beams as that, invalid ones (0) behind the last."""
+    return np.pad(rows, [(0, 0), (0, beams - rows.shape[1]), *[(0, 0)] * (rows.ndim - 2)])
 
 
 def _within(name: str, values: NDArray[np.floating], most: float) -> None:

@@ -9,6 +9,7 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.geometry.session import Session
 from g2_recon.localization.beams import Beams
 
 Float = NDArray[np.float64]
@@ -71,6 +72,13 @@ class Keyframes:
         self._firsts[index], self._increments[index] = beams.first, beams.increment
         self._count += 1
         return index
+
+    @classmethod
+    def of_session(cls, session: Session) -> Keyframes:
+        """Those of a session, where they are in its map."""
+        keyframes = cls()
+        keyframes.fill(session.poses, session.beams)
+        return keyframes
 
     def fill(self, poses: Float, arrays: tuple[NDArray[np.generic], ...]) -> None:
         """Replace all by poses (N, 3) and arrays as in `arrays`."""

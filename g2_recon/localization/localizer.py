@@ -278,10 +278,7 @@ class Localizer:
     def _follow(self, before: Float) -> None:
         """Move the keyframes as the local maps were moved from their poses (C, 3) before."""
         poses = self._keyframes.poses
-        steps = se2.compose(self._loops.poses, se2.inverse(before))
-        # Keyframes after the last local map move with it.
-        first = np.array([local.first for local in self._loops.maps])
-        poses[:] = se2.compose(steps[np.searchsorted(first, np.arange(len(poses)), side="right") - 1], poses)
+        poses[:] = self._loops.carried_along(poses, before)
         self._tracker.moved()
 
     def session(self) -> Session:
@@ -313,12 +310,7 @@ class Localizer:
         """Begins of the local maps (C,), loops (L, 2) and their information (L, 3, 3), while none is being closed."""
         count = len(self._keyframes)
         begins = [local.first for local in self._loops.maps] + ([self._map_begins] if self._map_begins < count else [])
-        loops = self._loops.credible()
-        return (
-            np.array(begins, np.int64),
-            np.array([loop[:2] for loop in loops], np.int64).reshape(-1, 2),
-            np.array([loop[3] for loop in loops]).reshape(-1, 3, 3),
-        )
+        return np.array(begins, np.int64), *self._loops.credible()
 
     def growth(self, keyframes: int, scans: int) -> SessionGrowth:
         """What has come since there were so many keyframes and scans; nothing waits for it and nothing is moved."""
@@ -382,8 +374,7 @@ class Localizer:
 
     def _take_keyframes(self, session: Session) -> None:
         """In place of those that there are; a new segment begins after them."""
-        arrays = session.points, session.normals, session.kinds, session.firsts, session.increments
-        self._keyframes.fill(session.poses, arrays)
+        self._keyframes.fill(session.poses, session.beams)
         self._uncertainty.fill(len(session))
         self._keyframe_stamps = session.stamps.tolist()
         self._tracker.segment = len(session)

@@ -167,11 +167,24 @@ class LoopCloser:
                 self._sequence[c - 1] = (se2.relative(self.poses[c - 1], self.poses[c]), information)
                 self._drifts[c - 1] = np.linalg.inv(information)
 
-    def credible(self) -> list[tuple[int, int, Float, Float]]:
-        """The loops that fit with all the others."""
+    def carried_along(self, poses: Float, before: Float) -> Float:
+        """Poses (N, 3) of all keyframes, moved as the local maps were from their poses (C, 3) before.
+
+        Keyframes after the last local map move with it.
+        """
+        steps = se2.compose(self.poses, se2.inverse(before))
+        first = np.array([local.first for local in self.maps])
+        return se2.compose(steps[np.searchsorted(first, np.arange(len(poses)), side="right") - 1], poses)
+
+    def credible(self) -> tuple[NDArray[np.int64], Float]:
+        """The loops (L, 2) that fit with all the others, and their information (L, 3, 3)."""
         loops = self._edges([])[len(self._sequence) :]
         fits = pose_graph.deviations(self.poses, loops) < _KERNEL
-        return [loop for loop, credible in zip(self.loops, fits, strict=True) if credible]
+        kept = [loop for loop, credible in zip(self.loops, fits, strict=True) if credible]
+        return (
+            np.array([loop[:2] for loop in kept], np.int64).reshape(-1, 2),
+            np.array([loop[3] for loop in kept]).reshape(-1, 3, 3),
+        )
 
     def _cloud(self, first: int, last: int, base: Float, farthest: float, cell: float) -> Float:
         """Points (N, 2) of keyframes in the frame of `base` (3,), seen from at most so far (m), one a cell (m)."""

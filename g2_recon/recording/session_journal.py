@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
-from g2_recon.geometry.session import FARTHEST_M, LastScan, ScanPoses, Session, SessionGrowth
+from g2_recon.geometry.session import FARTHEST_M, LastScan, ScanPoses, Session, SessionGrowth, widened
 from g2_recon.recording.journal import Journal
 from g2_recon.recording.npz import Layout
 from g2_recon.recording.records import pack, unpack
@@ -197,7 +197,7 @@ class _Found:
         """With as many beams as the largest scan has."""
         if name not in _OF_BEAMS or array.shape[1] == self._beams:
             return array
-        return np.pad(array, [(0, 0), (0, self._beams - array.shape[1]), (0, 0)][: array.ndim])
+        return widened(array, self._beams)
 
     def scan_poses(self) -> ScanPoses:
         if not self._scans:
