@@ -69,6 +69,8 @@ _GOOD, _FAIR, _AS_BEFORE, _MEMORY = 0.95, 0.85, 0.05, 20
 LEAST_QUALITY = 0.6
 # Another prediction has to be better by this than one that is likelier, or by this after a mere search.
 _MARGIN, _SEARCH_MARGIN, _INLIER_MARGIN = 0.08, 0.02, 0.1
+# A match from a start so near (m and rad) to where one has begun or ended would end there, too.
+_SAME_START = np.array([0.05, 0.05, math.radians(1.0)])
 # What the wheels say of a step is right within this, m and rad, and this share of the way and of the turn. A match is
 # not searched for where it lies within so many sigma of it; the wheels are wrong where it lies so many off.
 _WHEEL_SIGMA, _WHEEL_SHARE = (0.02, 0.02, 0.05), (0.1, 0.1, 0.2)
@@ -163,7 +165,7 @@ class Tracker:
         likeliest, sigma = first
         guess = compose(last, likeliest)
         if step is None:
-            best, margin = self._found(beams, guess, None), _MARGIN
+            best, margin = self._lay(beams, self._start(beams, guess, without=True), _FOUND_SIGMA), _MARGIN
             if self._good(best):
                 return best
         else:
@@ -171,12 +173,19 @@ class Tracker:
             if self._good(best) and _near(best.pose, guess, _LIKELY_SIGMAS * _wheel_sigma(step)):
                 return best
             others = chain([first], others)
+        tried = [best.pose]
         for predicted, uncertainty in others:
-            other = self._found(beams, compose(last, predicted), None if step is None else uncertainty)
-            if other.quality > best.quality + margin or _fits_better(other, best):
-                best = other
-            if self._good(best):
-                return best
+            start = self._start(beams, compose(last, predicted), without=step is None)
+            if not any(_near(start, known, _SAME_START) for known in tried):
+                if step is None:
+                    other = self._lay(beams, start, _FOUND_SIGMA)
+                else:
+                    other = self._lay(beams, start, uncertainty, compose(last, predicted))
+                tried += [start, other.pose]
+                if other.quality > best.quality + margin or _fits_better(other, best):
+                    best = other
+                if self._good(best):
+                    return best
             margin = _MARGIN
         if not best.matched or (step is None and best.quality < _FAIR):
             searches = [self._search(beams, guess + (0.0, 0.0, turn), _TURNS) for turn in _FAR_TURNS]
@@ -241,19 +250,21 @@ class Tracker:
             pose, information, quality, inliers, quality >= LEAST_QUALITY, hessian=hessian, agreeing=int(same)
         )
 
-    def _found(self, beams: Beams, guess: Float, sigma: Float | None) -> Placement:
-        """Match from the best place around a guess; without a sigma, that place counts and the guess no longer.
+    def _start(self, beams: Beams, guess: Float, *, without: bool) -> Float:
+        """The best place around a guess, to match from.
 
-        Along a bare corridor the points that are on no surface, such as door frames, are all that there is; without
-        odometry the place where they fit best is a better guess than the speed before, which would run away.
+        Without odometry it is looked for between the cells, too, for it counts then, and the guess no longer: along a
+        bare corridor the points that are on no surface, such as door frames, are all that there is, and the speed
+        before, held on to, would run away.
         """
-        if sigma is not None:
-            start, _ = self._search(beams, guess, _TURNS)
-            return self._lay(beams, start, sigma, guess)
-        start, _ = self._search(beams, guess, _TURNS_WITHOUT)
+        start, _ = self._search(beams, guess, _TURNS_WITHOUT if without else _TURNS)
+        if not without:
+            return start
         x, y = self._corner
-        start = likelihood.climb(self._grid, beams.points, beams.kinds, start, x, y, _RESOLUTION_M, _TURN, _CLIMBS)
-        return self._lay(beams, start, _FOUND_SIGMA)
+        climbed: Float = likelihood.climb(
+            self._grid, beams.points, beams.kinds, start, x, y, _RESOLUTION_M, _TURN, _CLIMBS
+        )
+        return climbed
 
     def _search(self, beams: Beams, guess: Float, turns: int) -> tuple[Float, float]:
         """The best place of the scan around a guess (3,), and its score."""
