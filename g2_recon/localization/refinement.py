@@ -26,6 +26,9 @@ _MOST_NEIGHBORS = 10
 _APART = 2
 _LEAST_WAY_M = 3.0
 _ROUNDS = 8
+# So many more are begun with, as long as the way between two keyframes still changes by more than this, m: noise tilts
+# the normals of a bare corridor's walls, which then resist a slide along it, the more the nearer partners have to be.
+_MOST_WIDE_ROUNDS, _AT_REST_M = 6, 0.05
 # While partners are far, every so manieth beam will do.
 _COARSE_STEP, _COARSE_ROUNDS = 3, 5
 _DISTANCE_M = (0.8, 0.12)
@@ -48,8 +51,9 @@ def refine(
     wheels = _wheel_edges(smoothed, odometry[1:], broken[1:])
     first: Int = np.empty(0, np.int64)
     second: Int = first
-    for done in range(_ROUNDS):
-        if done % 3 == 0:
+    wide = done = 0
+    while done < _ROUNDS:
+        if (wide + done) % 3 == 0:
             first, second = neighbors(poses, ways)
         share = min(1.0, done / (_ROUNDS - 3))
         distance = _DISTANCE_M[0] * (_DISTANCE_M[1] / _DISTANCE_M[0]) ** share
@@ -67,9 +71,20 @@ def refine(
         squared = pose_graph.deviations(poses, wheels)
         # Wheels that slip or come late are doubted.
         weights[len(seen) :] = 1 / (1 + squared / (_WHEEL_WEIGHT * _WHEEL_KERNEL))
+        before = poses
         poses, _ = pose_graph.solve(poses, edges, weights=weights)
-        progress("refinement", done + 1, _ROUNDS)
+        if done == 0 and wide < _MOST_WIDE_ROUNDS and _most_changed(before, poses) > _AT_REST_M:
+            wide += 1
+        else:
+            done += 1
+        progress("refinement", done, _ROUNDS)
     return poses
+
+
+def _most_changed(before: Float, poses: Float) -> float:
+    """By how much, m, the way from one keyframe (N, 3) to the next has changed at most."""
+    changed = se2.relative(before[:-1], before[1:]) - se2.relative(poses[:-1], poses[1:])
+    return float(np.hypot(changed[:, 0], changed[:, 1]).max())
 
 
 def _wheel_edges(smoothed: Float, odometry: Float, broken: NDArray[np.bool_]) -> pose_graph.Edges:
