@@ -77,7 +77,7 @@ def refine(
             wide += 1
         else:
             done += 1
-        progress("refinement", done, _ROUNDS)
+            progress("refinement", done, _ROUNDS)
     return poses
 
 
