@@ -119,7 +119,7 @@ def offered():
 @pytest.fixture(scope="module")
 def published(offered) -> set[str]:
     """The topics that the stages publish for others to look at."""
-    return {topic for topic in offered if topic not in ("rosout", "parameter_events", "diagnostics")}
+    return {topic for topic in offered if topic not in ("rosout", "parameter_events", "diagnostics", "keyframes")}
 
 
 @pytest.mark.parametrize("display", DISPLAYS, ids=lambda display: display["Name"])

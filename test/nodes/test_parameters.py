@@ -17,6 +17,7 @@ from g2_recon.errors import ConfigError
 from g2_recon.nodes import parameters
 from g2_recon.nodes.parameters import (
     LocalizerParameters,
+    MapMergerParameters,
     ReconstructParameters,
     RegistrarParameters,
     ReplayParameters,
@@ -29,6 +30,7 @@ MODELS = {
     "registrar_node": RegistrarParameters,
     "sweep_node": SweepParameters,
     "reconstruct_node": ReconstructParameters,
+    "map_merger_node": MapMergerParameters,
     "replay_node": ReplayParameters,
 }
 
