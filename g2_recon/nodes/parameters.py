@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of the nodes: a stage's settings and what only a node needs, from one model a node.
 
-`python -m g2_recon.nodes.parameters` writes them all, commented, with the values of the robot G2.
+`python -m g2_recon.nodes.parameters` writes them all, commented, with the values of the robot G2; with names behind it,
+for robots of these names that make one map.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -276,14 +277,18 @@ def _live(model: type[BaseModel]) -> frozenset[str]:
     return live
 
 
-def dump(nodes: dict[str, BaseModel]) -> str:
-    """A commented ROS parameter file, by node; it applies in every namespace."""
+def dump(nodes: dict[str, BaseModel], robots: Sequence[str] = ()) -> str:
+    """A commented ROS parameter file, by node; it applies in every namespace. robots: for several of these names."""
+    if robots:
+        nodes = nodes | {"map_merger_node": MapMergerParameters(robots=tuple(robots))}
+    command = " ".join(["python -m g2_recon.nodes.parameters", *robots])
+    file = "robots" if robots else "g2"
     lines = [
         "# SPDX-FileCopyrightText: 2026 The g2_recon developers",
         "# SPDX-License-Identifier: Apache-2.0",
         "# All parameters of all nodes, with the values of the robot G2, in every namespace. What is `live` can be",
         "# changed while the node runs (`ros2 param set`). Written by",
-        "#   python -m g2_recon.nodes.parameters > config/g2.yaml",
+        f"#   {command} > config/{file}.yaml",
     ]
     for name, model in nodes.items():
         lines += ["", f"/**/{name}:", "  ros__parameters:", *_with_marks(model)]
@@ -324,4 +329,4 @@ def _warn_of_unknown(node: Node) -> None:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(dump(G2))
+    sys.stdout.write(dump(G2, sys.argv[1:]))
