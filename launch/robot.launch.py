@@ -35,7 +35,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "frame_prefix",
             default_value="",
-            description="goes before the names of all frames, such as robot1/ where several robots share one tree of TF",
+            description="goes before the names of all frames, as robot1/ where several robots share one tree of TF",
         ),
         DeclareLaunchArgument(
             "mesh",

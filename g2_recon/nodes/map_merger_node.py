@@ -8,33 +8,29 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from functools import partial
 from secrets import randbits
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import OccupancyGrid as GridMessage
-from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import UInt8MultiArray, UInt32, UInt32MultiArray
 
 from g2_recon.collaboration.growing_session import GrowingSession
 from g2_recon.collaboration.live_merger import LiveMerger, Place, Work
-from g2_recon.collaboration.map_merger import JointMap
 from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import Cloud
-from g2_recon.geometry.occupancy_grid import OccupancyGrid
-from g2_recon.joint_pipeline import grid_of
-from g2_recon.localization.point_map import map_of_keyframes
 from g2_recon.nodes import conversions
 from g2_recon.nodes.journals import MessageJournal
 from g2_recon.nodes.keyframes import part_of_message
+from g2_recon.nodes.merging_process import Made, MergingProcess
 from g2_recon.nodes.parameters import MapMergerParameters
 from g2_recon.nodes.ros import LATCHED, RobotTransforms, reliable_qos, run
 from g2_recon.nodes.stage_node import StageNode
@@ -54,16 +50,6 @@ _LEVELS = {
     "stale": DiagnosticStatus.STALE,
     "rejected": DiagnosticStatus.WARN,
 }
-
-
-class _Made(NamedTuple):
-    """What the merging thread gives back."""
-
-    work: Work
-    map: JointMap
-    grid: OccupancyGrid | None
-    points: NDArray[np.float64]
-    seconds: float
 
 
 class _Gap:
@@ -87,13 +73,14 @@ class _Takers(dict[str, tuple[type, Callable[..., None]]]):
 
 
 class MapMergerNode(StageNode[MapMergerParameters]):
-    """Collects what robots tell, merges it in a thread beside, and hands on the map and the clouds in the world."""
+    """Collects what robots tell, merges it in a process beside, and hands on the map and the clouds in the world."""
 
     def __init__(self) -> None:
         """Raises ConfigError where a parameter is wrong."""
         super().__init__("map_merger_node", MapMergerParameters)
         self._transforms = RobotTransforms(self)
-        self._merging = ThreadPoolExecutor(1, "merging")
+        grid = {name: getattr(self.settings, name) for name in ("map_spacing", "grid_resolution")}
+        self._merging = MergingProcess(LocalizationConfig(**grid))
         self._newest_stamp, self._subscribers = Time(), 0
         # Sources whose points were taken back, or that were handed on by a node that is no more.
         self._gone: dict[int, None] = {}
@@ -120,7 +107,7 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         self._next_sequence: dict[tuple[str, int], int] = {}
         self._gaps: dict[tuple[str, int], list[_Gap]] = {}
         self._asked_keyframes: dict[str, tuple[int, float]] = {}
-        self._work: Future[_Made] | None = None
+        self._work: tuple[Work, Future[Made]] | None = None
         self._rest_until = self._grew_at = self._sent_at = -math.inf
         self._merging_takes = 0.0
 
@@ -275,28 +262,19 @@ class MapMergerNode(StageNode[MapMergerParameters]):
     def _merge(self) -> None:
         """Take what has been merged, and begin with what is new."""
         if self._work is not None:
-            if self._work.done():
-                self._take_merged(self._work)
+            work, made = self._work
+            if made.done():
                 self._work = None
+                self._take_merged(work, made)
             return
         now = monotonic()
         if now < self._rest_until:
             return
-        work = self._merger.work(settled=now - self._grew_at > self.settings.settle)
-        if work is not None:
-            self._work = self._merging.submit(self._made, work)
+        new = self._merger.work(settled=now - self._grew_at > self.settings.settle)
+        if new is not None:
+            self._work = new, self._merging.submit(new)
 
-    def _made(self, work: Work) -> _Made:
-        began = monotonic()
-        merged = work.merged()
-        settings = LocalizationConfig(
-            map_spacing=self.settings.map_spacing, grid_resolution=self.settings.grid_resolution
-        )
-        session = merged.session
-        points = map_of_keyframes(session.poses, session.points, session.kinds, settings.map_spacing)
-        return _Made(work, merged, grid_of(merged, settings), points, monotonic() - began)
-
-    def _take_merged(self, future: Future[_Made]) -> None:
+    def _take_merged(self, work: Work, future: Future[Made]) -> None:
         try:
             made = future.result()
         except InputError as error:
@@ -304,7 +282,7 @@ class MapMergerNode(StageNode[MapMergerParameters]):
             self._rest_until = monotonic() + self.settings.settle
             return
         self.faults.pop("merging", None)
-        self._merger.take_merged(made.work, made.map)
+        self._merger.take_merged(work, made.map)
         # As long as it has taken, others have their turn.
         self._merging_takes = made.seconds
         self._rest_until = monotonic() + made.seconds
@@ -404,7 +382,7 @@ class MapMergerNode(StageNode[MapMergerParameters]):
 
     def destroy_node(self) -> None:
         """See Node."""
-        self._merging.shutdown(wait=False, cancel_futures=True)
+        self._merging.close()
         super().destroy_node()
 
 

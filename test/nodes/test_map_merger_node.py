@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -73,6 +74,8 @@ def start(ros, sessions, parts):
     def started(*arguments):
         # What is given later counts.
         harness = ros(*USUAL, *arguments)
+        # The process that merges takes some seconds to start.
+        harness.wait_until = partial(harness.wait_until, seconds=90)
         harness.node = harness.add(MapMergerNode)
         harness.collected = CollectedCloud()
         harness.frames = set()
@@ -105,7 +108,7 @@ def test_robots_are_found_and_come_into_one_map(start, sessions):
     for robot in robots:
         robot.tell_all()
         robot.show(5, 0, 0)
-    harness.wait_until(lambda: harness.told and [harness.state(name) for name in sessions] == ["aligned"] * 3, 60)
+    harness.wait_until(lambda: harness.told and [harness.state(name) for name in sessions] == ["aligned"] * 3)
     harness.wait_until(lambda: len(harness.collected) == 3)
     assert harness.frames == {"world"}
     assert harness.maps[-1].header.frame_id == "world"

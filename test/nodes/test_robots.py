@@ -95,7 +95,7 @@ class Robot:
 
     def wait_until_it_runs(self):
         name = f"{self.space}/registrar_node"
-        self.harness.wait_until(lambda: self.harness.alive.get(name, 0) > self.told_before + 1, 60)
+        self.harness.wait_until(lambda: self.harness.alive.get(name, 0) > self.told_before + 1, 90)
 
     def kill(self):
         self.process.kill()
@@ -113,8 +113,8 @@ class Robot:
             self.points += BEAMS
             self.step += 1
             if step % 10 == 0:
-                self.harness.wait_until(lambda expected=expected: len(self.poses) >= expected, 60)
-        self.harness.wait_until(lambda: len(self.poses) >= expected, 60)
+                self.harness.wait_until(lambda expected=expected: len(self.poses) >= expected, 90)
+        self.harness.wait_until(lambda: len(self.poses) >= expected, 90)
         stamp = self.scans[self.step - 1].stamp
         self.harness.wait_until(
             lambda: self.clouds and conversions.stamp_seconds(self.clouds[-1].header.stamp) > stamp - 1e-3, 60
@@ -158,7 +158,7 @@ def site(ros, floor, seen, tmp_path):
         harness.merger = subprocess.Popen(
             [*command, "-p", f"session_dir:={tmp_path}/merger"], cwd=ROOT, env=ENVIRONMENT
         )
-        harness.wait_until(lambda: harness.alive.get("/map_merger_node", 0) > before + 1, 60)
+        harness.wait_until(lambda: harness.alive.get("/map_merger_node", 0) > before + 1, 90)
 
     def kill_merger():
         harness.merger.kill()
@@ -201,5 +201,5 @@ def test_whoever_is_cut_off_or_killed_comes_back_and_nothing_recorded_is_missing
     site.start_merger()
     for robot in site.robots:
         robot.drive(1000)
-    site.wait_until(lambda: is_whole(site), 60)
+    site.wait_until(lambda: is_whole(site), 120)
     assert [site.states[robot.name]["sessions"] for robot in site.robots] == ["1"] * 3
