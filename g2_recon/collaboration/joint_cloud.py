@@ -59,6 +59,11 @@ class _Piece:
     out_revision: int = 0
     T: Float | None = None
 
+    @property
+    def points(self) -> int:
+        """How many there are."""
+        return sum(map(len, self.parts))
+
 
 @dataclass(slots=True)
 class _Place:
@@ -83,7 +88,8 @@ class JointCloud:
         self._places: dict[tuple[str, int], _Place] = {}
         self._to_send: dict[int, tuple[tuple[str, int], _Piece]] = {}
         self._gone: list[int] = []
-        self.points = 0
+        # Of how many points there are, and how many have a place.
+        self.points = self._placed = 0
 
     def add(self, robot: str, stamp: float, cloud: Cloud, piece: Piece) -> str:
         """Take in points in the map of a robot, seen at stamp s; why they are not used, empty if they are."""
@@ -95,16 +101,20 @@ class JointCloud:
             return "of an older revision"
         columns = cloud.points if cloud.sensor is None else np.hstack([cloud.points, cloud.sensor])
         part = columns.astype(np.float32)
-        self.points += len(part)
+        before = 0 if known is None else known.points
+        if known is not None and part.shape[1] != known.parts[0].shape[1]:
+            return "with other fields than the piece had"
         if known is None:
             center = cloud.points[:, :2].mean(axis=0) if len(cloud) else np.zeros(2)
             known = pieces[piece.number] = _Piece(stamp, piece.revision, [part], center)
         elif piece.revision == known.revision:
             known.parts.append(part)
         else:
-            self.points -= sum(map(len, known.parts))
             known.revision, known.parts = piece.revision, [part]
             self._send_anew(known)
+        self.points += known.points - before
+        if known.number >= 0:
+            self._placed += known.points - before
         session = self._session_of.get((robot, piece.source))
         if session is not None:
             self._mark(robot, session, known)
@@ -152,6 +162,7 @@ class JointCloud:
         self._gone.append(place.source)
         for piece in place.pieces:
             self._to_send.pop(id(piece), None)
+            self._placed -= piece.points
             piece.number, piece.sent, piece.out_revision, piece.T = -1, 0, 0, None
         del self._places[key]
 
@@ -169,6 +180,7 @@ class JointCloud:
         if piece.number < 0:
             piece.number = len(place.pieces)
             place.pieces.append(piece)
+            self._placed += piece.points
         self._to_send[id(piece)] = (robot, session), piece
 
     def send_all(self) -> None:
@@ -186,8 +198,7 @@ class JointCloud:
     @property
     def unplaced(self) -> int:
         """How many points have no place in the world yet."""
-        out = sum(len(part) for place in self._places.values() for piece in place.pieces for part in piece.parts)
-        return self.points - out
+        return self.points - self._placed
 
     def take_gone(self) -> list[int]:
         """The sources whose points are to be taken back, since the last call."""
@@ -202,7 +213,7 @@ class JointCloud:
             if piece.T is None:
                 piece.T = place.correction.at(np.array([piece.stamp]))[0]
             new = np.concatenate([np.empty((0, piece.parts[0].shape[1])), *piece.parts[piece.sent :]])
-            piece.sent = len(piece.parts)
+            piece.parts, piece.sent = [np.concatenate(piece.parts)], 1
             yield piece.stamp, _in_world(piece.T, new), Piece(place.source, piece.number, piece.out_revision)
 
     def cloud(self) -> Cloud:

@@ -23,6 +23,8 @@ State = Literal["waiting", "aligned", "ambiguous", "rejected"]
 
 # All is looked for anew when there is so many times as much as the last time.
 _THOROUGH_GROWTH = 1.5
+# Clouds follow at once where a robot moves a keyframe by so much, m or rad; with the next map, what is less.
+_MOVED = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +115,12 @@ class LiveMerger:
         """Take in what a robot tells of its session; that session. Raises InputError where it is unusable."""
         sessions = self._robots.setdefault(robot, _Robot()).sessions
         growing = sessions.get(part.number) or GrowingSession(part.number)
-        revision = growing.version
+        before = growing.poses()
         growing.take(part)
         sessions[part.number] = growing
         times = {number: (one.start, one.last_stamp) for number, one in sessions.items() if len(one)}
         self.cloud.bind(robot, times)
-        if growing.version != revision:
+        if (np.abs(growing.poses()[: len(before)] - before) > _MOVED).any():
             self._follow(robot, growing)
         return growing
 

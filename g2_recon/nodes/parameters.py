@@ -121,9 +121,13 @@ class ReconstructParameters(_SessionModel, _MapNodeModel, ReconstructionConfig):
     cloud_topics: tuple[str, ...] = _parameter(("cloud",), "topics of the clouds, one or more a robot")
 
 
-class MapMergerParameters(_SessionModel, _NodeModel):
+class MapMergerParameters(_NodeModel):
     """Parameters of map_merger_node."""
 
+    session_dir: str = _parameter(
+        "",
+        "folder of the journal of all that was accepted, from which the node goes on after a crash; empty: none",
+    )
     robots: tuple[str, ...] = _parameter(
         ("",), "namespaces of the robots; empty: all right below the namespace of the node, as they come"
     )

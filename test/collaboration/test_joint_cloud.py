@@ -142,6 +142,12 @@ def test_whoever_comes_late_gets_all(joint):
     assert piece.revision == 1 and len(cloud) == 5
 
 
+def test_points_with_other_fields_than_their_piece_are_refused(joint):
+    joint.add("r", 1.0, points(0), Piece(1, 0))
+    assert joint.add("r", 1.0, Cloud(np.ones((1, 3))), Piece(1, 0)) == "with other fields than the piece had"
+    assert joint.points == 5
+
+
 def test_two_robots_are_two_sources(joint):
     for robot in ("r", "s"):
         joint.add(robot, 1.0, points(0), Piece(1, 0))
