@@ -5,8 +5,9 @@
     python benchmarks/merger_cost.py
 
 Robots are played by another process, from drives through the simulated floor: keyframes as their localizers tell them,
-and a cloud of 100 points a vertical scan. The table goes to out/benchmarks/collaboration_cost.json, from where
-benchmarks/collaboration.py takes it to its page, and the picture to docs/merger_cost.png.
+and a cloud of 100 points a vertical scan. Their starts are known, so that all clouds are placed from the beginning. The
+table goes to out/benchmarks/collaboration_cost.json, from where benchmarks/collaboration.py takes it to its page, and
+the picture to docs/merger_cost.png.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 import rclpy
 import report
-from collaboration import WINDOW, drive, mapped
+from collaboration import WINDOW, drive, mapped, true_poses
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rclpy.executors import SingleThreadedExecutor
@@ -34,6 +35,7 @@ from report import Row, Table
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, UInt8MultiArray
 
+from g2_recon.collaboration.alignment import fitted
 from g2_recon.geometry.cloud import Cloud, Piece
 from g2_recon.geometry.session import Session, SessionPart, session_number
 from g2_recon.nodes import conversions
@@ -125,12 +127,20 @@ def play(sessions: list[Session], seconds: float) -> None:
     rclpy.shutdown()
 
 
-def measured(sessions: list[Session], seconds: float) -> Row:
+def robot_of(seed: int, begin: float) -> tuple[Session, str]:
+    """The session of a robot, and where its map lies, as the parameter `starts` has it."""
+    simulation = drive(seed, begin)
+    session = mapped(simulation.recording).session
+    x, y, yaw = fitted(session.poses, true_poses(session.stamps, simulation))
+    return session, f"robot{seed} {x:.3f} {y:.3f} {yaw:.4f}"
+
+
+def measured(sessions: list[Session], starts: list[str], seconds: float) -> Row:
     """The cost with these robots."""
     with tempfile.NamedTemporaryFile(suffix=".pickle") as file:
         pickle.dump((sessions, seconds), file)
         file.flush()
-        rclpy.init(args=["merger", "--ros-args", "-p", "settle:=1000.0"])
+        rclpy.init(args=["merger", "--ros-args", "-p", "settle:=1000.0", "-p", f"starts:={starts}"])
         node = TimedMerger()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -206,8 +216,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     given.out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
-    sessions = [mapped(drive(k, rng.uniform(0, 1 - WINDOW)).recording).session for k in range(max(given.robots))]
-    rows = [measured(sessions[:count], given.seconds) for count in given.robots]
+    robots = [robot_of(k, rng.uniform(0, 1 - WINDOW)) for k in range(max(given.robots))]
+    sessions, starts = map(list, zip(*robots, strict=True))
+    rows = [measured(sessions[:count], starts[:count], given.seconds) for count in given.robots]
     table = Table("What the merger costs", NOTE, {"": rows}, [given.picture.name])
     report.save(given.out / "collaboration_cost.json", table)
     picture(rows, given.picture)
