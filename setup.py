@@ -94,6 +94,7 @@ setup(
                     "registrar_node",
                     "sweep_node",
                     "reconstruct_node",
+                    "map_merger_node",
                     "replay_node",
                     "pipeline_node",
                 )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from g2_recon import __version__, config, pictures, pipeline
 from g2_recon.collaboration.alignment import Alignment
 from g2_recon.collaboration.map_merger import JointMap, merge
-from g2_recon.config import G2ReconConfig
+from g2_recon.config import G2ReconConfig, LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
@@ -91,11 +91,12 @@ def run(recordings: Mapping[str, Recording], settings: G2ReconConfig, *, progres
     # In the order of the map, which does not depend on the order in which they were given.
     cloud = concatenate([robots[name].registration.cloud for name in merged.rows])
     reconstruction = pipeline.reconstruct_surface(cloud, settings.reconstruction, progress=progress)
-    return JointRun(robots, merged, cloud, _grid(merged, settings, progress), reconstruction)
+    return JointRun(robots, merged, cloud, grid_of(merged, localization, progress=progress), reconstruction)
 
 
-def _grid(merged: JointMap, settings: G2ReconConfig, progress: Progress) -> OccupancyGrid | None:
-    grid = KeyframeGrid(settings.localization, np.eye(4))
+def grid_of(merged: JointMap, settings: LocalizationConfig, *, progress: Progress = silent) -> OccupancyGrid | None:
+    """The occupancy grid of a map of several robots; None where nothing is in it."""
+    grid = KeyframeGrid(settings, np.eye(4))
     grid.add_session(merged.session)
     poses = Trajectory.from_se2(np.arange(len(merged.session), dtype=float), merged.session.poses)
     return pipeline.finished_grid(grid, poses, progress)

@@ -50,6 +50,8 @@ def generate_launch_description() -> LaunchDescription:
             "namespace": namespace,
             "config": LaunchConfiguration("config"),
             "lasers": LaunchConfiguration("lasers"),
+            "frame_prefix": "",
+            "mesh": "true",
             "use_sim_time": "true",
         }.items(),
     )

@@ -22,7 +22,15 @@ import pytest
 import g2_recon
 
 ROOT = Path(__file__).resolve().parents[1]
-NODES = ("localizer_node", "registrar_node", "sweep_node", "reconstruct_node", "replay_node", "pipeline_node")
+NODES = (
+    "localizer_node",
+    "registrar_node",
+    "sweep_node",
+    "reconstruct_node",
+    "map_merger_node",
+    "replay_node",
+    "pipeline_node",
+)
 SHARED_FOLDERS = ("bags", "config", "launch", "rviz")
 MADE_HERE = (".*", "build", "install", "log", "out", "__pycache__", "*.egg-info")
 

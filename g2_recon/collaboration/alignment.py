@@ -46,7 +46,7 @@ _AROUND_M = 12.0
 _SHARED = 0.3
 # It is believed with at least so much way in common, m, and this share of agreement there, more where only one part
 # speaks for it.
-_LEAST_WAY_M, _LEAST_AGREEMENT, _LEAST_ALONE = 8.0, 0.87, 0.94
+LEAST_WAY_M, _LEAST_AGREEMENT, _LEAST_ALONE = 8.0, 0.87, 0.94
 # Another one with this share of its way makes it ambiguous, unless that is contradicted so many times as much, and more
 # than noise does.
 _RIVAL_SHARE, _RIVAL_CONTRADICTED, _NOISE_CONTRADICTED = 0.7, 3.0, 0.02
@@ -103,6 +103,25 @@ def align(fixed: Session, moving: Session, *, progress: Progress = silent) -> Al
     # The ends of a bent map are elsewhere without contradicting each other.
     rivals = [alignment for alignment, hypothesis in others if np.isin(hypothesis.owners, best[1].owners).any()]
     return _believed(best[0], rivals)
+
+
+def still_holds(fixed: Session, moving: Session, before: Alignment, transforms: Float) -> Alignment:
+    """Judge an alignment by all that has been seen until now.
+
+    transforms: (N, 3) fixed ← moving map at each keyframe, as it was found before.
+    """
+    owners = np.arange(0, len(moving), _PART_KEYFRAMES)
+    found = before.keyframes[before.keyframes < len(moving)]
+    hypothesis = _Hypothesis(
+        fitted(moving.poses[found], se2.compose(transforms[found], moving.poses[found])),
+        owners,
+        transforms[owners],
+        np.ones(len(owners)),
+        np.asarray(np.linalg.inv(before.covariance), float),
+    )
+    scans = Keyframes.of_session(moving)
+    judged = _judged(hypothesis, WholeMap(Keyframes.of_session(fixed)), fixed, moving, scans)
+    return _believed(replace(judged, keyframes=found), [])
 
 
 def _hypotheses(whole: WholeMap, scans: Keyframes, progress: Progress) -> list[_Hypothesis]:
@@ -236,8 +255,8 @@ def _beams(session: Session, k: int) -> Beams:
 
 def _believed(best: Alignment, rivals: list[Alignment]) -> Alignment:
     """An alignment, with what speaks against it."""
-    if best.way < _LEAST_WAY_M:
-        return _with(best, "rejected", f"only {best.way:.1f} m of way in common, {_LEAST_WAY_M:g} m are needed")
+    if best.way < LEAST_WAY_M:
+        return _with(best, "rejected", f"only {best.way:.1f} m of way in common, {LEAST_WAY_M:g} m are needed")
     least = _LEAST_ALONE if len(best.keyframes) < 2 else _LEAST_AGREEMENT
     if best.agreement < least:
         return _with(best, "rejected", f"what both saw agrees by {best.agreement:.2f} only, not {least:g}")

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from g2_recon.collaboration.alignment import Alignment, align
+from g2_recon.collaboration.alignment import LEAST_WAY_M, Alignment, align, still_holds
 from g2_recon.collaboration.joint_map import joined, refined
 from g2_recon.geometry import se2
 from g2_recon.geometry.session import Session
@@ -19,6 +19,8 @@ from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]
 
+# The place of a robot is looked for again when world or robot have so many times as many keyframes.
+_WORTH_LOOKING = 1.2
 _GIVEN_SIGMA = np.array([0.5, 0.5, 0.1])
 
 
@@ -28,12 +30,13 @@ class JointMap:
 
     session: the keyframes of all robots that are in it, in the order of `rows`, which tells which of them are whose.
     alignments: where the map of each robot lies in it, or why that is not known. The frame is the map frame of the
-    first robot in `rows`.
+    first robot in `rows`. looked_for: how many keyframes the world and a robot had when its place was last looked for.
     """
 
     session: Session
     rows: dict[str, slice]
     alignments: dict[str, Alignment]
+    looked_for: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def poses(self, robot: str) -> Float:
         """T_world_laser (N, 3) of the keyframes of a robot that is in the map."""
@@ -41,30 +44,40 @@ class JointMap:
 
 
 def merge(
-    sessions: Mapping[str, Session], *, starts: Mapping[str, ArrayLike] | None = None, progress: Progress = silent
+    sessions: Mapping[str, Session],
+    *,
+    starts: Mapping[str, ArrayLike] | None = None,
+    before: JointMap | None = None,
+    progress: Progress = silent,
 ) -> JointMap:
     """One map of the sessions of robots, by name; the same in whatever order they are given.
 
     starts: (3,) world ← <robot>/map where it is known about. The robot that began first, or the first with a start, is
-    where the world is. Those whose place is not sure are left out. Raises InputError where a map is too large to
-    search.
+    where the world is. Those whose place is not sure are left out. before: the map when sessions had fewer keyframes;
+    what was found then is judged anew, and looked for again only where it does not hold any more, or where there is so
+    much more that what was not found may be found. Raises InputError where a map is too large to search.
     """
     known = {name: np.asarray(start, float) for name, start in (starts or {}).items()}
-    order = sorted(sessions, key=lambda name: (name not in known, sessions[name].stamps[0], _digest(sessions[name])))
+    order = sorted(sessions, key=lambda name: (name not in known, *_rank(sessions[name])))
     first = order.pop(0)
+    if before is not None and first != next(iter(before.rows)):
+        before = None
     world = _moved(sessions[first], known.get(first, se2.IDENTITY))
     rows = {first: slice(0, len(world))}
     alignments = {first: _given(known.get(first, se2.IDENTITY), sessions[first], "the world is where its map is")}
+    looked_for = {} if before is None else dict(before.looked_for)
     waiting = order
     while waiting:
         # Who has found no place may find one when others are in.
         for name in waiting:
             session = sessions[name]
-            alignment = (
-                _given(known[name], session, "its start is given")
-                if name in known
-                else align(world, session, progress=progress)
-            )
+            if name in known:
+                alignment = _given(known[name], session, "its start is given")
+            elif (found := _as_before(name, world, session, before)) is not None:
+                alignment = found
+            else:
+                alignment = align(world, session, progress=progress)
+                looked_for[name] = len(world), len(session)
             alignments[name] = alignment
             if alignment.state == "aligned":
                 count = len(world)
@@ -75,11 +88,36 @@ def merge(
         else:
             break
         waiting = [name for name in waiting if name not in rows]
-    return JointMap(refined(world, progress=progress) if len(rows) > 1 else world, rows, alignments)
+    session = refined(world, progress=progress) if len(rows) > 1 else world
+    return JointMap(session, rows, alignments, looked_for)
+
+
+def _as_before(name: str, world: Session, session: Session, before: JointMap | None) -> Alignment | None:
+    """What was found out about the place of a robot, as far as it holds; None: it is to be looked for."""
+    if before is None or name not in before.alignments:
+        return None
+    if name in before.rows:
+        poses = before.poses(name)
+        transforms = se2.compose(poses, se2.inverse(session.poses[: len(poses)]))
+        # What has come since lies as the latest of what there was.
+        later = np.repeat(transforms[-1:], len(session) - len(poses), axis=0)
+        found = still_holds(world, session, before.alignments[name], np.concatenate([transforms, later]))
+        return found if found.state == "aligned" else None
+    most = _WORTH_LOOKING * np.array(before.looked_for.get(name, (0, 0)))
+    return before.alignments[name] if (np.array([len(world), len(session)]) < most).all() else None
+
+
+def _rank(session: Session) -> tuple[bool, float, bytes, bytes]:
+    """Who is first: of those that have driven far enough to be found in, that which began first.
+
+    What began at the same time is told apart by its first scan.
+    """
+    short = bool(session.ways[-1] < LEAST_WAY_M)
+    return short, float(session.stamps[0]), session.points[0].tobytes(), _digest(session)
 
 
 def _digest(session: Session) -> bytes:
-    """Something to sort sessions by that began at the same time."""
+    """Something to sort sessions by that began alike."""
     return hashlib.sha256(session.points.tobytes() + session.poses.tobytes()).digest()
 
 

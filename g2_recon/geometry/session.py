@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,6 +181,45 @@ class SessionGrowth:
     graph: tuple[Int, Int, Float] | None
     scans: ScanPoses
     last: LastScan
+
+
+@dataclass(frozen=True, slots=True)
+class SessionPart:
+    """What a robot tells of its session from time to time, from which others make it up.
+
+    number: of the session, see `session_number`. count: how many keyframes it has. revision: another number where poses
+    or graph are others. last_stamp: s, of the latest scan, keyframe or not. poses: (count, 3) T_map_laser of
+    all keyframes, or none (0, 3) where they are as they were. first: the keyframe with which the other arrays begin,
+    which are as in Session, of some keyframes in a row or of none. local_maps, loops, loop_information: the graph as in
+    Session; no local maps where it is in the making.
+    """
+
+    number: int
+    count: int
+    revision: int
+    last_stamp: float
+    poses: Float
+    first: int
+    stamps: Float
+    points: Float32
+    normals: Float32
+    kinds: NDArray[np.uint8]
+    firsts: Float
+    increments: Float
+    ways: Float
+    wheel_steps: Float
+    broken: NDArray[np.bool_]
+    local_maps: Int
+    loops: Int
+    loop_information: Float
+
+
+def session_number(stamp: float, points: Float32, kinds: NDArray[np.uint8]) -> int:
+    """A number below 2^32 that tells sessions apart: of the first keyframe, whose points are (B, 2) and kinds (B,).
+
+    So it stays the same when a session is gone on with.
+    """
+    return crc32(np.float64(stamp).tobytes() + np.ascontiguousarray(points[kinds > 0], "<f4").tobytes())
 
 
 _ADVICE = "save it again"

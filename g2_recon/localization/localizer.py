@@ -20,12 +20,12 @@ from g2_recon.geometry.se2_kernels import compose, inverse_3x3, relative
 from g2_recon.geometry.session import LastScan, ScanPoses, Session, SessionGrowth
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
-from g2_recon.localization.beams import INVALID, SURFACE, Beams, beams
+from g2_recon.localization.beams import SURFACE, Beams, beams
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.localized_scan import LocalizedScan
 from g2_recon.localization.loop_closure import LoopCloser
 from g2_recon.localization.odometry import OdometrySteps
-from g2_recon.localization.point_map import first_in_each_cell
+from g2_recon.localization.point_map import map_of_keyframes
 from g2_recon.localization.smoothing import Smoother
 from g2_recon.localization.tracking import FEWEST_SURFACES, Placement, Tracker
 from g2_recon.localization.uncertainty import WAY_PER_RAD, Uncertainty
@@ -464,10 +464,7 @@ class Localizer:
     def point_map(self) -> Float:
         """The points (N, 2) of the map, thinned to `map_spacing`."""
         points, _, kinds, _, _ = self._keyframes.arrays
-        poses = self._keyframes.poses
-        scans = [se2.transform_points(poses[k], points[k][kinds[k] != INVALID]) for k in range(len(poses))]
-        cloud = np.concatenate([np.empty((0, 2)), *scans])
-        return cloud[first_in_each_cell(cloud, self._config.map_spacing)]
+        return map_of_keyframes(self._keyframes.poses, points, kinds, self._config.map_spacing)
 
 
 def _velocity(step: Float, elapsed: float) -> Float:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from g2_recon.geometry import se2
+
 Float = NDArray[np.float64]
 
 
@@ -70,3 +72,13 @@ def first_in_each_cell(points: Float, size: float) -> NDArray[np.intp]:
     cell = np.floor(points / size).astype(np.int64)
     # One number a cell, which sorts much faster than two; it is unique up to 2^31 cells from the origin.
     return np.sort(np.unique((cell[:, 0] << 32) ^ (cell[:, 1] & 0xFFFFFFFF), return_index=True)[1])
+
+
+def map_of_keyframes(poses: Float, points: NDArray[np.float32], kinds: NDArray[np.uint8], spacing: float) -> Float:
+    """The points (N, 2) of keyframes at T_map_laser (K, 3), whose beams are (K, B, 2) and (K, B), thinned to a spacing.
+
+    A beam of kind 0 is no measurement.
+    """
+    scans = [se2.transform_points(poses[k], points[k][kinds[k] > 0]) for k in range(len(poses))]
+    cloud = np.concatenate([np.empty((0, 2)), *scans])
+    return cloud[first_in_each_cell(cloud, spacing)]

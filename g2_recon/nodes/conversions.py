@@ -45,6 +45,9 @@ SENSOR_FIELDS = ("vx", "vy", "vz")
 PIECE_FIELDS = ("source", "piece", "revision")
 """Of a cloud that comes in pieces: uint32, the same for all points of a message; see geometry.cloud.Piece."""
 
+SEQUENCE_FIELD = "sequence"
+"""Of the same: uint32, which message of its source it is, so that whoever lacks some can ask for them."""
+
 FARTHEST_M = 1e6
 """No robot is farther than this from the origin of its map; what says so is broken, and float32 would lose it."""
 
@@ -297,15 +300,29 @@ def usable_points(cloud: Cloud) -> Cloud:
     return cloud.select(np.asarray((np.abs(columns) <= FARTHEST_M).all(axis=1)))
 
 
-def cloud_to_message(head: Header, cloud: Cloud, piece: Piece | None = None) -> PointCloud2:
-    """The message of a cloud: float32 x y z and, where known, vx vy vz, without padding; then uint32 of the piece."""
+def sequence_from_message(message: PointCloud2) -> int | None:
+    """Which message of its source a cloud that is a piece is, None if it does not say so. Raises InputError."""
+    if not any(f.name == SEQUENCE_FIELD and f.datatype == PointField.UINT32 for f in message.fields):
+        return None
+    rows = _rows(message, _fields(message, (SEQUENCE_FIELD,)))
+    return int(rows[SEQUENCE_FIELD].flat[0]) if rows.size else None
+
+
+def cloud_to_message(
+    head: Header, cloud: Cloud, piece: Piece | None = None, sequence: int | None = None
+) -> PointCloud2:
+    """The message of a cloud: float32 x y z and, where known, vx vy vz, without padding; then uint32 of the piece.
+
+    sequence: which message of the source of the piece it is.
+    """
     columns = cloud.points if cloud.sensor is None else np.hstack([cloud.points, cloud.sensor])
     names: tuple[str, ...] = POINT_FIELDS if cloud.sensor is None else POINT_FIELDS + SENSOR_FIELDS
     kinds = [PointField.FLOAT32] * len(names)
     values = columns.astype("<f4")
     if piece is not None:
-        names, kinds = names + PIECE_FIELDS, kinds + [PointField.UINT32] * len(PIECE_FIELDS)
-        numbers = np.array([piece.source, piece.number, piece.revision], "<u4").view("<f4")
+        told = [piece.source, piece.number, piece.revision, *([] if sequence is None else [sequence])]
+        names, kinds = names + (*PIECE_FIELDS, SEQUENCE_FIELD)[: len(told)], kinds + [PointField.UINT32] * len(told)
+        numbers = np.array(told, "<u4").view("<f4")
         values = np.hstack([values, np.broadcast_to(numbers, (len(cloud), len(numbers)))])
     step = 4 * len(names)
     return PointCloud2(

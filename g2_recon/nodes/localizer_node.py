@@ -33,6 +33,7 @@ from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.localization.resumed import ResumedLocalizer
 from g2_recon.localization.wheel_check import WheelCheck
 from g2_recon.nodes import conversions
+from g2_recon.nodes.keyframes import KeyframeSender
 from g2_recon.nodes.localizer_journal import LocalizerJournal
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
@@ -140,6 +141,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._trajectory_publisher = self.create_publisher(Path, "trajectory", LATCHED)
         self._map_publisher = self.create_publisher(PointCloud2, "point_map", LATCHED)
         self._grid_publisher = self.create_publisher(GridMessage, "map", LATCHED)
+        self._keyframe_sender = KeyframeSender(self)
         self.offer_trigger("~/reset", self._reset_on_request)
         self.offer_trigger("~/save", self._save)
         self.offer_pause()
@@ -291,6 +293,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self._map_changed = False
             self._trajectory_publisher.publish(conversions.path_message(head, keyframes))
             self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
+        if isinstance(self._localizer, Localizer):
+            self._keyframe_sender.tell(self._localizer, self.settings.map_frame)
         poses = keyframes.planar()
         if not self._grid.is_current(poses) and self._counted(self._grid, poses):
             self._say_left_out(self._grid)
@@ -353,6 +357,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._matched.clear()
         self._wheel_check = WheelCheck()
         self._journal.clear()
+        self._keyframe_sender.begin_anew()
         if self._session is not self._loaded:
             # What was taken up from the journal is forgotten, too.
             self._session, self._localizer, self._grid = self._loaded, None, None

@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of the nodes: a stage's settings and what only a node needs, from one model a node.
 
-`python -m g2_recon.nodes.parameters` writes them all, commented, with the values of the robot G2.
+`python -m g2_recon.nodes.parameters` writes them all, commented, with the values of the robot G2; with names behind it,
+for robots of these names that make one map.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import (
     InvalidParameterTypeException,
@@ -31,6 +32,11 @@ Model = TypeVar("Model", bound=BaseModel)
 
 def _parameter(default: Any, meaning: str, unit: str = "", *, ge: float | None = None, le: float | None = None) -> Any:
     return Field(default, ge=ge, le=le, description=meaning, json_schema_extra={"unit": unit})
+
+
+def _as_in(model: type[BaseModel], name: str) -> Any:
+    """The field of another model."""
+    return model.model_fields[name]
 
 
 class _NodeModel(BaseModel):
@@ -115,6 +121,56 @@ class ReconstructParameters(_SessionModel, _MapNodeModel, ReconstructionConfig):
     cloud_topics: tuple[str, ...] = _parameter(("cloud",), "topics of the clouds, one or more a robot")
 
 
+class MapMergerParameters(_NodeModel):
+    """Parameters of map_merger_node."""
+
+    session_dir: str = _parameter(
+        "",
+        "folder of the journal of all that was accepted, from which the node goes on after a crash; empty: none",
+    )
+    robots: tuple[str, ...] = _parameter(
+        ("",), "namespaces of the robots; empty: all right below the namespace of the node, as they come"
+    )
+    starts: tuple[str, ...] = _parameter(
+        ("",), "where the map of a robot lies in the world, if it is known about, as 'robot1 x y yaw', one a robot"
+    )
+    world_frame: str = _parameter("world", "frame of the map of all robots")
+    publish_tf: bool = _parameter(True, "send the transforms world -> <robot>/map, where tf2 is installed")
+    stale_after: float = _parameter(5.0, "a robot that has been silent for so long is stale", "s", ge=1, le=3600)
+    settle: float = _parameter(
+        5.0, "where nothing has come for so long, the places of all robots are looked for anew", "s", ge=0.1, le=3600
+    )
+    map_spacing: float = _as_in(LocalizationConfig, "map_spacing")
+    grid_resolution: float = _as_in(LocalizationConfig, "grid_resolution")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The robots that are named."""
+        return tuple(robot.strip("/") for robot in self.robots if robot.strip("/"))
+
+    @property
+    def known_starts(self) -> dict[str, tuple[float, float, float]]:
+        """World ← <robot>/map by robot."""
+        return dict(_start(text) for text in self.starts if text.strip())
+
+    @model_validator(mode="after")
+    def _check(self) -> MapMergerParameters:
+        _ = self.known_starts
+        return self
+
+
+def _start(text: str) -> tuple[str, tuple[float, float, float]]:
+    """Robot and pose. Raises ValueError where it is something else."""
+    robot, *numbers = text.split()
+    try:
+        x, y, yaw = map(float, numbers)
+    except ValueError:
+        x = y = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise ValueError(f"'{text}' of starts is not a robot and three numbers, as in 'robot1 2.0 0.5 1.57'")
+    return robot.strip("/"), (x, y, yaw)
+
+
 class ReplayParameters(_NodeModel):
     """Parameters of replay_node."""
 
@@ -137,6 +193,7 @@ G2: dict[str, BaseModel] = {
     "registrar_node": RegistrarParameters(laser_pose=(-0.05, 0, 0.60, 0, round(-math.pi / 2, 7), 0), max_wait=60.0),
     "sweep_node": SweepParameters(laser_pose=(0.15, 0, 0.60, 0, 0, 0)),
     "reconstruct_node": ReconstructParameters(),
+    "map_merger_node": MapMergerParameters(),
     "replay_node": ReplayParameters(),
 }
 """The robot of the paper: a horizontal laser in front, a vertical one behind it that looks up to both sides."""
@@ -224,14 +281,18 @@ def _live(model: type[BaseModel]) -> frozenset[str]:
     return live
 
 
-def dump(nodes: dict[str, BaseModel]) -> str:
-    """A commented ROS parameter file, by node; it applies in every namespace."""
+def dump(nodes: dict[str, BaseModel], robots: Sequence[str] = ()) -> str:
+    """A commented ROS parameter file, by node; it applies in every namespace. robots: for several of these names."""
+    if robots:
+        nodes = nodes | {"map_merger_node": MapMergerParameters(robots=tuple(robots))}
+    command = " ".join(["python -m g2_recon.nodes.parameters", *robots])
+    file = "robots" if robots else "g2"
     lines = [
         "# SPDX-FileCopyrightText: 2026 The g2_recon developers",
         "# SPDX-License-Identifier: Apache-2.0",
         "# All parameters of all nodes, with the values of the robot G2, in every namespace. What is `live` can be",
         "# changed while the node runs (`ros2 param set`). Written by",
-        "#   python -m g2_recon.nodes.parameters > config/g2.yaml",
+        f"#   {command} > config/{file}.yaml",
     ]
     for name, model in nodes.items():
         lines += ["", f"/**/{name}:", "  ros__parameters:", *_with_marks(model)]
@@ -272,4 +333,4 @@ def _warn_of_unknown(node: Node) -> None:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(dump(G2))
+    sys.stdout.write(dump(G2, sys.argv[1:]))

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import sys
+from array import array
 from collections import deque
 from collections.abc import Iterator, Sequence
 from secrets import randbits
@@ -16,6 +17,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan, PointCloud2
+from std_msgs.msg import UInt32MultiArray
 
 from g2_recon.geometry.cloud import Piece
 from g2_recon.nodes import conversions
@@ -49,13 +51,15 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._early_poses: deque[tuple[float, NDArray]] = deque(maxlen=self.settings.queue_depth)
         self._jumps = self._new_jumps()
         self._registered = self._renewed = 0
-        self._source, self._newest_stamp, self._subscribers = randbits(32), Time(), 0
+        self._newest_stamp, self._subscribers = Time(), 0
+        self._begin_source()
         depth = self.settings.queue_depth
         self._cloud_publisher = self.create_publisher(PointCloud2, "cloud", reliable_qos(depth))
         self.offer_trigger("~/reset", self._reset)
         self._renew_timer = self.create_timer(_RENEW_PERIOD_S, self._renew, clock=self.steady_clock)
         self._renew_timer.cancel()
         self.create_timer(_WATCH_PERIOD_S, self._watch_subscribers, clock=self.steady_clock)
+        self.listen(UInt32MultiArray, "cloud_wanted", self._on_wanted, reliable_qos(depth))
         self.listen(Path, "trajectory", self._on_trajectory, LATCHED, raw=True)
         self.listen(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
         self.listen(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
@@ -157,7 +161,22 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._newest_stamp = conversions.stamp_message(registered.stamp)
         head = conversions.header(self._newest_stamp, self.settings.map_frame)
         piece = Piece(self._source, registered.piece, registered.revision)
-        self._cloud_publisher.publish(conversions.cloud_to_message(head, registered.cloud, piece))
+        self._cloud_publisher.publish(conversions.cloud_to_message(head, registered.cloud, piece, len(self._sent)))
+        self._sent.append(registered.piece)
+
+    def _begin_source(self) -> None:
+        """Of each message of the source, by its sequence number, which piece it was of."""
+        self._source, self._sent = randbits(32), array("I")
+
+    def _on_wanted(self, message: UInt32MultiArray) -> None:
+        """Somebody lacks the messages from one sequence number to before another of a source."""
+        if len(message.data) != 3:
+            self.drop("unusable request", "cloud_wanted needs source, first and end of the sequence numbers")
+            return
+        source, begin, end = message.data
+        if self._registrar is not None and source == self._source:
+            self._registrar.renew_pieces(self._sent[begin:end])
+            self._renew_if_needed()
 
     def _renew_if_needed(self) -> None:
         assert self._registrar is not None
@@ -204,7 +223,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
             self._registrar.reset()
             head = conversions.header(self._newest_stamp, self.settings.map_frame)
             self._cloud_publisher.publish(conversions.no_pieces_message(head, self._source))
-            self._source = randbits(32)
+            self._begin_source()
         return "forgot all poses, scans and points"
 
     def _registrar_drops(self) -> dict[str, int]:

@@ -32,6 +32,7 @@ def _if_installed(name: str) -> Any | None:
 
 # The ROS wheels of the Python package index do not hold it.
 tf2_ros: Any = _if_installed("tf2_ros")
+tf2_msgs: Any = _if_installed("tf2_msgs.msg")
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Maps and meshes: whoever comes late gets the last one (REP-2003)."""
@@ -119,6 +120,33 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threa
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+class RobotTransforms:
+    """TF from the world to the maps of robots, in both styles that there are.
+
+    Where all robots share one tree, the names of their frames begin with that of the robot: `robot1/map` goes there.
+    Where each has a tree of its own with the same names, its `map` goes into that, on `<robot>/tf`, and as `robot1/map`
+    into the shared one, for whoever looks at all.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.available = tf2_ros is not None
+        self._own: dict[str, Any] = {}
+        if self.available:
+            self._broadcaster = tf2_ros.TransformBroadcaster(node)
+
+    def send(self, stamp: Time, world: str, robot: str, frame: str, T_world_map: ArrayLike) -> None:
+        """Broadcast where the map of a robot, whose frame has this name, lies in the world (4, 4)."""
+        prefixed = frame.startswith(f"{robot}/")
+        shared = frame if prefixed else f"{robot}/{frame or 'map'}"
+        self._broadcaster.sendTransform(conversions.transform_message(stamp, world, shared, T_world_map))
+        if not prefixed and frame:
+            if robot not in self._own:
+                self._own[robot] = self._node.create_publisher(tf2_msgs.TFMessage, f"{robot}/tf", reliable_qos(100))
+            message = conversions.transform_message(stamp, world, frame, T_world_map)
+            self._own[robot].publish(tf2_msgs.TFMessage(transforms=[message]))
 
 
 class Transforms:

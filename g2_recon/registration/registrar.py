@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -166,8 +167,12 @@ class Registrar:
 
     def renew_all(self) -> None:
         """Have all pieces handed out anew, as for somebody who came late."""
+        self.renew_pieces(self._pieces)
+
+    def renew_pieces(self, numbers: Iterable[int]) -> None:
+        """Have pieces, as far as they are kept, handed out anew, as for somebody who lacks them."""
         self._begin_piece()
-        self._to_renew |= dict.fromkeys(self._pieces)
+        self._to_renew |= {number: None for number in numbers if number in self._pieces}
 
     def renew(self) -> RegisteredCloud | None:
         """The next piece that has moved, all of it, placed by what is known now; None where there is none."""

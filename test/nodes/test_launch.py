@@ -25,13 +25,19 @@ ROOT = Path(__file__).parents[2]
 STAGES = {"localizer_node": LocalizerNode, "registrar_node": RegistrarNode, "reconstruct_node": ReconstructNode}
 SCANS = {"scan", "scan_vertical"}
 ARGUMENTS = {
-    "robot": {"namespace", "config", "lasers", "use_sim_time"},
+    "robot": {"namespace", "config", "lasers", "frame_prefix", "mesh", "use_sim_time"},
     "replay": {"bag", "rate", "rviz", "namespace", "config", "lasers"},
+    "robots": {"config", "here", "merger", "tf", "lasers", "use_sim_time"},
 }
-NODES = {"robot": {"localizer_node", "registrar_node", "sweep_node", "reconstruct_node"}, "replay": {"replay_node"}}
+NODES = {
+    "robot": {"localizer_node", "registrar_node", "sweep_node", "reconstruct_node"},
+    "replay": {"replay_node"},
+    "robots": {"map_merger_node", "reconstruct_node"},
+}
 FILES = {
     "robot": {"config/g2.yaml"},
     "replay": {"config/g2.yaml", "bags/first_floor", "rviz/g2_recon.rviz", "launch/robot.launch.py"},
+    "robots": {"config/robots.yaml", "launch/robot.launch.py"},
 }
 DISPLAYS = [
     display
@@ -41,7 +47,7 @@ DISPLAYS = [
 LAYOUT = json.loads((ROOT / "rviz/foxglove.json").read_text())
 
 
-@pytest.fixture(params=["robot", "replay"])
+@pytest.fixture(params=["robot", "replay", "robots"])
 def name(request) -> str:
     """A launch file."""
     return request.param
@@ -84,8 +90,9 @@ def test_only_arguments_that_are_declared_are_used(name, tree):
     assert {call.args[0].value for call in calls(tree, "LaunchConfiguration")} <= ARGUMENTS[name]
 
 
-def test_the_replay_sets_arguments_that_the_robot_has():
-    code = ast.parse((ROOT / "launch/replay.launch.py").read_text())
+@pytest.mark.parametrize("name", ["replay", "robots"])
+def test_whoever_includes_the_robot_sets_all_arguments_that_it_has(name):
+    code = ast.parse((ROOT / f"launch/{name}.launch.py").read_text())
     (include,) = calls(code, "IncludeLaunchDescription")
     (given,) = [node for node in ast.walk(include) if isinstance(node, ast.Dict)]
     assert {key.value for key in given.keys} == ARGUMENTS["robot"]
@@ -119,7 +126,7 @@ def offered():
 @pytest.fixture(scope="module")
 def published(offered) -> set[str]:
     """The topics that the stages publish for others to look at."""
-    return {topic for topic in offered if topic not in ("rosout", "parameter_events", "diagnostics")}
+    return {topic for topic in offered if topic not in ("rosout", "parameter_events", "diagnostics", "keyframes")}
 
 
 @pytest.mark.parametrize("display", DISPLAYS, ids=lambda display: display["Name"])

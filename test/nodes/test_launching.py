@@ -79,6 +79,20 @@ def test_a_robot_with_sweeps_has_the_nodes_of_sweeps(launched):
     assert set(harness.status) == {"/sweep_node", "/reconstruct_node"}
 
 
+def test_robots_are_started_each_in_its_namespace_with_one_merger_and_one_mesh(launched, tmp_path):
+    file = tmp_path / "robots.yaml"
+    file.write_text("/**/map_merger_node: {ros__parameters: {robots: [anna, bert]}}\n")
+    harness = launched("robots", f"config:={file}", "here:=anna", "tf:=own")
+    expected = {"/anna/localizer_node", "/anna/registrar_node", "/map_merger_node", "/reconstruct_node"}
+    harness.wait_until(lambda: len(harness.status) >= 4, 60)
+    assert set(harness.status) == expected
+
+
+def test_a_robot_that_the_file_does_not_name_is_refused(launched):
+    harness = launched("robots", "here:=nobody")
+    assert harness.process.wait(30) == 1
+
+
 def test_other_lasers_are_refused(launched):
     harness = launched("robot", "lasers:=none")
     assert harness.process.wait(30) == 1

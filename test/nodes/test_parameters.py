@@ -17,6 +17,7 @@ from g2_recon.errors import ConfigError
 from g2_recon.nodes import parameters
 from g2_recon.nodes.parameters import (
     LocalizerParameters,
+    MapMergerParameters,
     ReconstructParameters,
     RegistrarParameters,
     ReplayParameters,
@@ -29,6 +30,7 @@ MODELS = {
     "registrar_node": RegistrarParameters,
     "sweep_node": SweepParameters,
     "reconstruct_node": ReconstructParameters,
+    "map_merger_node": MapMergerParameters,
     "replay_node": ReplayParameters,
 }
 
@@ -171,9 +173,24 @@ def test_the_file_for_the_g2_applies_in_every_namespace(declared, namespace):
     assert values == parameters.G2["registrar_node"]
 
 
-def test_the_file_for_the_g2_is_current():
-    written = (ROOT / "config/g2.yaml").read_text()
-    assert written == parameters.dump(parameters.G2), "run `python -m g2_recon.nodes.parameters > config/g2.yaml`"
+@pytest.mark.parametrize(("file", "robots"), [("g2", ""), ("robots", "robot1 robot2 robot3")])
+def test_the_files_are_current(file, robots):
+    command = f"python -m g2_recon.nodes.parameters {robots}".strip()
+    written = (ROOT / f"config/{file}.yaml").read_text()
+    assert written == parameters.dump(parameters.G2, robots.split()), f"run `{command} > config/{file}.yaml`"
+
+
+def test_the_file_for_several_robots_names_them():
+    nodes = yaml.safe_load(parameters.dump(parameters.G2, ["anna", "bert"]))
+    assert nodes["/**/map_merger_node"]["ros__parameters"]["robots"] == ["anna", "bert"]
+
+
+def test_what_is_for_one_robot_counts_before_what_is_for_all(declared, tmp_path):
+    farthest = {"/**": 5.0, "/robot1": 7.0}
+    given = {f"{space}/registrar_node": {"ros__parameters": {"max_range": far}} for space, far in farthest.items()}
+    (tmp_path / "robots.yaml").write_text(yaml.safe_dump(given, sort_keys=False))
+    values, _ = declared("registrar_node", "--params-file", str(tmp_path / "robots.yaml"), namespace="robot1")
+    assert values.max_range == 7.0
 
 
 def test_the_file_for_the_g2_holds_every_parameter_of_every_node():

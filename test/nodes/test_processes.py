@@ -17,7 +17,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 ROOT = Path(__file__).parents[2]
-NODES = ("localizer_node", "registrar_node", "sweep_node", "reconstruct_node", "replay_node")
+NODES = ("localizer_node", "registrar_node", "sweep_node", "reconstruct_node", "map_merger_node", "replay_node")
 
 
 @pytest.fixture
@@ -93,6 +93,11 @@ sys.exit(run(lambda: exec(INTERRUPT), None))
         ("localizer_node", ("-p", "max_range:=1000.0"), "max_range out of range"),
         ("registrar_node", ("-p", "laser_pose:=[1.0]"), "laser_pose needs six numbers"),
         ("reconstruct_node", ("-p", "mode:=best"), "mode"),
+        (
+            "map_merger_node",
+            ("-p", "starts:=['robot1 0 0']"),
+            "'robot1 0 0' of starts is not a robot and three numbers",
+        ),
         ("replay_node", ("-p", "bag:=no/such/bag"), "no/such/bag: "),
         ("replay_node", ("--params-file", "no_such_file.yaml"), "no_such_file.yaml"),
     ],

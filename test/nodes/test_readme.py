@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from g2_recon.nodes.localizer_node import LocalizerNode
+from g2_recon.nodes.map_merger_node import MapMergerNode
 from g2_recon.nodes.reconstruct_node import ReconstructNode
 from g2_recon.nodes.registrar_node import RegistrarNode
 from g2_recon.nodes.replay_node import ReplayNode
@@ -20,11 +21,14 @@ from g2_recon.nodes.sweep_node import SweepNode
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 BAG = ROOT / "bags/first_floor"
+# Stands for the robots of the merger.
+ROBOT = "robot1"
 NODES = {
     "localizer_node": LocalizerNode,
     "registrar_node": RegistrarNode,
     "sweep_node": SweepNode,
     "reconstruct_node": ReconstructNode,
+    "map_merger_node": MapMergerNode,
     "replay_node": ReplayNode,
 }
 # What every node of rclpy has.
@@ -45,7 +49,7 @@ def topics(title: str) -> dict[str, set[tuple[str, str]]]:
     node = ""
     for name, topic, kind, _ in rows(title):
         node = name.strip("`") or node
-        table.setdefault(node, set()).add((topic.strip("`"), kind))
+        table.setdefault(node, set()).add((topic.strip("`").replace("<robot>", ROBOT), kind))
     return table
 
 
@@ -58,7 +62,7 @@ def running():
     """A node of each kind."""
     import rclpy
 
-    rclpy.init(args=["test", "--ros-args", "-p", f"replay_node:bag:={BAG}"])
+    rclpy.init(args=["test", "--ros-args", "-p", f"replay_node:bag:={BAG}", "-p", f"robots:=[{ROBOT}]"])
     nodes = {name: create() for name, create in NODES.items()}
     yield nodes
     for node in nodes.values():
