@@ -86,7 +86,7 @@ class LocalizerParameters(_SessionModel, _MapNodeModel, LocalizationConfig):
     )
 
 
-class RegistrarParameters(_MapNodeModel, RegistrationConfig):
+class RegistrarParameters(_SessionModel, _MapNodeModel, RegistrationConfig):
     """Parameters of registrar_node."""
 
     live: ClassVar[frozenset[str]] = frozenset({"min_range", "max_range", "max_wait", "max_gap"})
