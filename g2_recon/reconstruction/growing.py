@@ -10,6 +10,7 @@ the points are concerned, all is done as for a cloud that does not grow, and wit
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
@@ -196,7 +197,10 @@ def _grown(
     # Without sensors only the whole tells which side of a surface is the free one.
     if points.cloud.sensor is None or np.count_nonzero(anew) >= _MOST_ANEW * len(points):
         return _all_anew(points, names, state.names, config, progress)
-    return _some_anew(_without(replace(state, points=points), stale), anew, names, config, progress)
+    state = _without(replace(state, points=points), stale)
+    if gone:
+        state = _on_data(state, config)
+    return _some_anew(state, anew, names, config, progress)
 
 
 def _possible(new: list[tuple[int, Cloud]], config: ReconstructionConfig, workers: int) -> tuple[Cloud, Int]:
@@ -226,7 +230,8 @@ def _all_anew(
     others[surface.kept] = False
     order = np.concatenate([surface.kept, np.flatnonzero(others)])
     rows = np.arange(len(surface))
-    points = replace(points.take(order), own=np.concatenate([surface.points, own.points[others]]))
+    ordered = np.concatenate([surface.points, own.points[others]])
+    points = _blank(points.cloud.select(order), ordered, points.part[order])
     state = _State(
         frame,
         _with_surface(points, rows, surface.neighbors),
@@ -317,21 +322,28 @@ def _joined(state: _State, config: ReconstructionConfig, progress: Progress) -> 
     data = data_of(state.points.own[rows], _renumbered(state.points.neighbors, rows), config, workers)
 
     def work() -> tuple[_State, Mesh]:
-        # What lay under a strip may be gone.
-        lies = supported(neurons.places, state.faces, data.grid, data.near, workers)
-        loose = state.loose.copy()
-        loose[state.faces[~lies]] = True
-        sound = sound_cells(neurons, data, state.faces[lies])
+        sound = sound_cells(neurons, data, state.faces)
         joined = join(neurons, sound, data, config)
         # Elsewhere the front would only try again what it could not do before.
-        where = loose[joined.faces].any(axis=1) | (np.arange(len(joined.faces)) < len(sound))
+        where = state.loose[joined.faces].any(axis=1) | (np.arange(len(joined.faces)) < len(sound))
         joined = Sheet(joined.vertices, joined.faces[where], joined.submap[where])
         mesh = finished(joined, neurons, data, config)
         check_covered(mesh.faces)
         settled = replace(state.neurons, cells=_NO_FACES)
-        return replace(state, neurons=settled, faces=joined.faces, loose=np.zeros(len(loose), bool)), mesh
+        return replace(state, neurons=settled, faces=joined.faces, loose=np.zeros(len(state.loose), bool)), mesh
 
     return reported(work, "joining", progress)
+
+
+def _on_data(state: _State, config: ReconstructionConfig) -> _State:
+    """The state without the faces under which points are gone."""
+    workers = config.workers or os.cpu_count() or 1
+    near = config.support_distance or config.spacing
+    grid = point_grid(state.points.own, cell=near / math.sqrt(3))
+    stays = supported(state.neurons.places, state.faces, grid, near, workers)
+    loose = state.loose.copy()
+    loose[state.faces[~stays]] = True
+    return replace(state, faces=state.faces[stays], loose=loose)
 
 
 def _without(state: _State, stale: Int) -> _State:

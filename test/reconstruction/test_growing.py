@@ -151,6 +151,17 @@ def test_a_piece_that_is_sent_again_with_the_same_points_changes_nothing():
     assert growing.update(parts(again, [1] * len(again))) is before
 
 
+def test_what_was_surface_before_all_is_made_anew_leaves_no_trace():
+    """Most points go, and some of those that stay are no surface without them."""
+    growing = GrowingReconstruction(CONFIG)
+    growing.update(parts([PIECES[4].select(np.arange(1000)), PIECES[5].select(np.arange(400))]))
+    left = [PIECES[4].select(np.arange(240)), PIECES[5].select(np.arange(400))]
+    mesh = growing.update(parts(left, [1, 0])).mesh
+    whole = Cloud(*(np.concatenate([getattr(cloud, name) for cloud in left]) for name in ("points", "sensor")))
+    assert len(mesh.faces) == len(reconstruct(whole, CONFIG).mesh.faces)
+    assert_sound(mesh)
+
+
 def test_a_submap_keeps_its_number_while_its_data_grows():
     growing = GrowingReconstruction(CONFIG)
     before = growing.update(parts(PIECES[:4])).mesh
