@@ -377,18 +377,9 @@ def _fields(message: PointCloud2, names: tuple[str, ...]) -> dict[str, PointFiel
 def _rows(message: PointCloud2, fields: dict[str, PointField]) -> NDArray:
     """The points of a cloud message as records. Raises InputError where the layout does not fit the data."""
     height, width, step = message.height, message.width, message.point_step
-    dtype = np.dtype(
-        {
-            "names": list(fields),
-            "formats": [
-                (">" if message.is_bigendian else "<") + _FIELD_TYPES[field.datatype] for field in fields.values()
-            ],
-            "offsets": [field.offset for field in fields.values()],
-            "itemsize": step,
-        }
-    )
+    formats = [(">" if message.is_bigendian else "<") + _FIELD_TYPES[field.datatype] for field in fields.values()]
     if width * height == 0:
-        return np.empty((0, 1), dtype)
+        return np.empty((0, 1), np.dtype({"names": list(fields), "formats": formats}))
     # A single row needs no row step, and some drivers leave it at zero.
     row_step = message.row_step if height > 1 else width * step
     if row_step < width * step or (height - 1) * row_step + width * step > len(message.data):
@@ -397,6 +388,8 @@ def _rows(message: PointCloud2, fields: dict[str, PointField]) -> NDArray:
             f"does not fit its {len(message.data)} bytes of data",
             where=f"frame {message.header.frame_id}",
         )
+    offsets = [field.offset for field in fields.values()]
+    dtype = np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": step})
     return np.ndarray((height, width), dtype, buffer=message.data, strides=(row_step, step))
 
 

@@ -65,7 +65,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         self._building = Lock()
         self._showing = Lock()
         # How many changes of the clouds there were, how many of them are in the mesh, how often all was forgotten.
-        self._changes = self._shown_changes = self._resets = 0
+        self._changes = self._shown_changes = self._resets = self._accepted = 0
         self._stage = self._lack = ""
         self._rebuilt_at, self._took = -math.inf, 0.0
         self._wire_mesh_topic = MarkerTopic(self, "wire_mesh")
@@ -98,7 +98,11 @@ class ReconstructNode(StageNode[ReconstructParameters]):
 
     def figures(self) -> dict[str, object]:
         """See StageNode."""
-        values: dict[str, object] = {"points": len(self._collected), "reconstruction": self._stage or "idle"}
+        values: dict[str, object] = {
+            "accepted clouds": self._accepted,
+            "points": len(self._collected),
+            "reconstruction": self._stage or "idle",
+        }
         if self._result is not None:
             values["faces"] = len(self._result.mesh.faces)
             values["submaps"] = self._result.clusters
@@ -132,6 +136,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
             refused = self._collected.add(usable, piece, topic=topic, leave_out=self.paused)
             if not refused:
                 self._changes += 1
+                self._accepted += 1
                 self._newest_stamp = max(self._newest_stamp, message.header.stamp, key=conversions.stamp_seconds)
         if not refused:
             self._journal.keep(topic, message)

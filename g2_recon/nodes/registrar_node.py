@@ -249,6 +249,8 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._early_poses.clear()
         if self._registrar is not None:
             self.drops.update({key.removeprefix("dropped: "): count for key, count in self._registrar_drops().items()})
+            if self._registrar.waiting:
+                self.drops["scan that waited at a reset"] += self._registrar.waiting
             self._registrar.reset()
             for source in (*self._former_sources, self._source):
                 self._take_back(source)

@@ -356,6 +356,17 @@ def test_a_cloud_whose_data_is_cut_short_is_refused():
         conversions.cloud_from_message(message)
 
 
+@pytest.mark.parametrize("width", [0, 3])
+def test_points_of_more_bytes_than_memory_has_are_refused_or_none(width):
+    message = layout_message(np.ones((3, 3)), [(name, FLOAT32) for name in "xyz"])
+    message.width, message.point_step = width, 2**32 - 1
+    if width:
+        with pytest.raises(InputError, match="does not fit"):
+            conversions.cloud_from_message(message)
+    else:
+        assert len(conversions.cloud_from_message(message)) == 0
+
+
 def test_a_cloud_without_z_is_refused_and_says_so():
     message = layout_message(np.ones((3, 2)), [(name, FLOAT32) for name in "xy"])
     with pytest.raises(InputError, match="no field z"):
