@@ -282,17 +282,20 @@ def main() -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     note = (
         f"`rebuild: {given.rebuild}`, {given.rate:g} scans a second. Answers are those of a service that has nothing "
-        "to do, over DDS and back; cores and MB are those of the node; F5 in percent."
+        "to do, over DDS and back; cores and MB are those of the node; F5 in percent. "
+        f"The load of the machine was {os.getloadavg()[1]:.1f} at the end, that of this benchmark included."
     )
     save(OUT / "live_mesh.json", Table("The live mesh", note, {"": rows}))
-    sys.stdout.write(page(HEAD, [OUT / "live_mesh.json"]))
-    (OUT / "live_benchmarks.md").write_text(page(HEAD, [OUT / "live_mesh.json"]))
+    whole = page(HEAD, [OUT / "live_mesh.json", OUT / "nodes.json"])
+    sys.stdout.write(whole)
+    (OUT / "live_benchmarks.md").write_text(whole)
 
 
 HEAD = """# Benchmarks of the nodes
 
 Made by
 
+    python benchmarks/nodes.py
     python benchmarks/live_mesh.py --clouds FOLDER
 
 with the clouds of [the benchmarks of surfaces](benchmarks.md); this page is copied from `out/benchmarks/`.

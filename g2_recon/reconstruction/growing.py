@@ -123,15 +123,15 @@ class GrowingReconstruction:
         A submap keeps its number from one time to the next; one that is gone does not come again. The result depends on
         what came when, but not on `workers`. What comes of the parts of the first time, or of parts that changed for
         the most part, is what `reconstruct` makes of them.
-        Raises InputError where there are too few points for a surface, or these cover none of it; the next update then
-        begins from nothing.
+        Raises InputError where there are too few points for a surface, or these cover none of it; after that, or
+        another fault, the next update begins from nothing.
         """
         try:
             gone, new = self._changes(parts)
             if self._result is None or gone or new:
                 self._state, mesh = _grown(self._state, gone, new, self._config, progress)
                 self._result = _result(self._state, mesh, sum(len(part.cloud) for part in parts.values()))
-        except InputError:
+        except BaseException:
             self.reset()
             raise
         return self._result
