@@ -15,6 +15,8 @@ from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import make_localizer
 from g2_recon.localization.occupancy import GridBuilder
+from g2_recon.reconstruction.collected_cloud import Part
+from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.reconstructor import reconstruct
 from g2_recon.registration.prepared_sweep import prepare
 from g2_recon.registration.registrar import Registrar
@@ -27,6 +29,9 @@ def warm_up() -> None:
     for with_sensor in (True, False):
         cloud = _corner_of_a_room(with_sensor=with_sensor)
         reconstruct(cloud, ReconstructionConfig())
+    growing = GrowingReconstruction(ReconstructionConfig())
+    for end in (len(cloud) - 10, len(cloud)):
+        growing.update({0: Part(0, _corner_of_a_room(with_sensor=True).select(np.arange(end)))})
     triangles = np.eye(3), np.array([[0, 1, 2], [2, 1, 0]])
     score_surface(TrueSurface(*triangles), *triangles, samples=10)
     published = ReconstructionConfig(mode="paper", clusters=4, passes=50)

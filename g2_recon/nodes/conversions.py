@@ -5,9 +5,7 @@
 from __future__ import annotations
 
 import array
-import colorsys
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -26,13 +24,11 @@ from nav_msgs.msg import OccupancyGrid as GridMessage
 from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Header
 
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece
-from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
@@ -61,11 +57,6 @@ _FIELD_TYPES = {
     PointField.FLOAT32: "f4",
     PointField.FLOAT64: "f8",
 }
-
-_LINE_WIDTH_M = 0.01
-# Neighboring submaps have neighboring numbers; steps of the golden ratio give them hues that differ.
-_HUE_STEP = (math.sqrt(5) - 1) / 2
-_JOIN_COLOR = ColorRGBA(r=0.9, g=0.9, b=0.9, a=1.0)
 
 
 def stamp_seconds(stamp: Time) -> float:
@@ -362,35 +353,6 @@ def grid_message(head: Header, grid: OccupancyGrid) -> GridMessage:
     )
 
 
-def wire_mesh_markers(head: Header, mesh: WireMesh) -> MarkerArray:
-    """A LINE_LIST a submap and one more for the joins, after a marker that deletes what was there before."""
-    points = _points(mesh.vertices)
-    inner = mesh.edges[~mesh.join]
-    markers = [_delete_all(head)]
-    for submap, edges in _groups(inner, mesh.submap[inner[:, 0]]):
-        marker = _marker(head, Marker.LINE_LIST, "wire_mesh", submap, _submap_color(submap))
-        markers.append(_filled(marker, points, edges))
-    if mesh.join.any():
-        marker = _marker(head, Marker.LINE_LIST, "joins", 0, _JOIN_COLOR)
-        markers.append(_filled(marker, points, mesh.edges[mesh.join]))
-    return MarkerArray(markers=markers)
-
-
-def mesh_markers(head: Header, mesh: Mesh) -> MarkerArray:
-    """A TRIANGLE_LIST a submap, after a marker that deletes what was there before."""
-    points = _points(mesh.vertices)
-    markers = [_delete_all(head)]
-    for submap, faces in _groups(mesh.faces, mesh.submap):
-        marker = _marker(head, Marker.TRIANGLE_LIST, "mesh", submap, _submap_color(submap))
-        markers.append(_filled(marker, points, faces))
-    return MarkerArray(markers=markers)
-
-
-def no_markers(head: Header) -> MarkerArray:
-    """What removes all markers shown."""
-    return MarkerArray(markers=[_delete_all(head)])
-
-
 def _array(typecode: str, values: NDArray) -> array.array:
     """An array that the message keeps as it is; a list or bytes would be checked element by element."""
     result = array.array(typecode)
@@ -432,18 +394,9 @@ def _fields(message: PointCloud2, names: tuple[str, ...]) -> dict[str, PointFiel
 def _rows(message: PointCloud2, fields: dict[str, PointField]) -> NDArray:
     """The points of a cloud message as records. Raises InputError where the layout does not fit the data."""
     height, width, step = message.height, message.width, message.point_step
-    dtype = np.dtype(
-        {
-            "names": list(fields),
-            "formats": [
-                (">" if message.is_bigendian else "<") + _FIELD_TYPES[field.datatype] for field in fields.values()
-            ],
-            "offsets": [field.offset for field in fields.values()],
-            "itemsize": step,
-        }
-    )
+    formats = [(">" if message.is_bigendian else "<") + _FIELD_TYPES[field.datatype] for field in fields.values()]
     if width * height == 0:
-        return np.empty((0, 1), dtype)
+        return np.empty((0, 1), np.dtype({"names": list(fields), "formats": formats}))
     # A single row needs no row step, and some drivers leave it at zero.
     row_step = message.row_step if height > 1 else width * step
     if row_step < width * step or (height - 1) * row_step + width * step > len(message.data):
@@ -452,6 +405,8 @@ def _rows(message: PointCloud2, fields: dict[str, PointField]) -> NDArray:
             f"does not fit its {len(message.data)} bytes of data",
             where=f"frame {message.header.frame_id}",
         )
+    offsets = [field.offset for field in fields.values()]
+    dtype = np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": step})
     return np.ndarray((height, width), dtype, buffer=message.data, strides=(row_step, step))
 
 
@@ -460,38 +415,3 @@ def _columns(rows: NDArray, names: tuple[str, ...]) -> Float:
     for index, name in enumerate(names):
         result[:, index] = rows[name].reshape(-1)
     return result
-
-
-def _points(vertices: Float) -> list[Point]:
-    """One message a vertex, to be shared by all lines and triangles that touch it."""
-    return [Point(x=x, y=y, z=z) for x, y, z in vertices.tolist()]
-
-
-def _groups(rows: NDArray[np.int64], labels: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """The rows of each label, by label."""
-    order = np.argsort(labels, kind="stable")
-    names, starts = np.unique(labels[order], return_index=True)
-    # Without rows there is no name, but still one empty part.
-    yield from zip(names.tolist(), np.split(rows[order], starts[1:]), strict=False)
-
-
-def _filled(marker: Marker, points: list[Point], corners: NDArray[np.int64]) -> Marker:
-    marker.points = [points[index] for index in corners.ravel().tolist()]
-    return marker
-
-
-def _marker(head: Header, kind: int, namespace: str, number: int, color: ColorRGBA) -> Marker:
-    marker = Marker(header=head, ns=namespace, id=number, type=kind, action=Marker.ADD, color=color)
-    marker.pose.orientation.w = 1.0
-    size = _LINE_WIDTH_M if kind == Marker.LINE_LIST else 1.0
-    marker.scale = Vector3(x=size, y=size, z=size)
-    return marker
-
-
-def _delete_all(head: Header) -> Marker:
-    return Marker(header=head, action=Marker.DELETEALL)
-
-
-def _submap_color(submap: int) -> ColorRGBA:
-    red, green, blue = colorsys.hsv_to_rgb(submap * _HUE_STEP % 1.0, 0.6, 0.95)
-    return ColorRGBA(r=red, g=green, b=blue, a=1.0)

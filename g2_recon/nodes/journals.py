@@ -104,6 +104,6 @@ class MessageJournal(NodeJournal):
             self.guarded(lambda: journal.append(bytes([len(head)]) + head + serialize_message(message)))
 
     def clear(self) -> None:
-        """Begin anew."""
-        if self.journal is not None:
+        """Begin anew; not while messages of the last time are handed on."""
+        if self.journal is not None and not self._taking_up:
             self.guarded(self.journal.clear)

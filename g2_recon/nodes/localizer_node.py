@@ -351,6 +351,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
     def _reset(self, start: NDArray[np.float64] | None) -> None:
         """Start anew. The empty trajectory tells whoever builds on the poses that they start anew."""
         self._start = start
+        if self._waiting:
+            self.drops["scan that waited at a reset"] += len(self._waiting)
         self._waiting.clear()
         self._newest_scan = -np.inf
         self._map_changed = False

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -92,7 +92,7 @@ class LocalizerParameters(_SessionModel, _MapNodeModel, LocalizationConfig):
     )
 
 
-class RegistrarParameters(_MapNodeModel, RegistrationConfig):
+class RegistrarParameters(_SessionModel, _MapNodeModel, RegistrationConfig):
     """Parameters of registrar_node."""
 
     live: ClassVar[frozenset[str]] = frozenset({"min_range", "max_range", "max_wait", "max_gap"})
@@ -113,11 +113,27 @@ class SweepParameters(_SessionModel, _MapNodeModel, SweepConfig):
     odometry_kept: float = _parameter(60.0, "odometry is kept this long for sweeps that come late", "s", ge=0, le=3600)
 
 
+_SHOWN = ("rebuild", "rebuild_period", "color_by")
+
+
 class ReconstructParameters(_SessionModel, _MapNodeModel, ReconstructionConfig):
     """Parameters of reconstruct_node; each reconstruction takes those of the moment at which it begins."""
 
-    live: ClassVar[frozenset[str]] = frozenset(ReconstructionConfig.model_fields)
+    live: ClassVar[frozenset[str]] = frozenset({*ReconstructionConfig.model_fields, *_SHOWN})
 
+    rebuild: Literal["on_request", "every_n_seconds", "continuous"] = _parameter(
+        "on_request",
+        "when the mesh is made; on_request: by ~/reconstruct only; every_n_seconds, continuous: also live, mode solid "
+        "where data changed, mode paper all of it",
+    )
+    rebuild_period: float = _parameter(
+        5.0, "rebuild every_n_seconds: from the start of one to that of the next", "s", ge=0.1, le=3600
+    )
+    color_by: Literal["submap", "height", "error"] = _parameter(
+        "submap",
+        "what the colors of the markers tell; height: blue, red and back every 6 m; error: of a face, from blue to red "
+        "at 5 cm, gray without points",
+    )
     cloud_topics: tuple[str, ...] = _parameter(("cloud",), "topics of the clouds, one or more a robot")
 
 
@@ -192,7 +208,7 @@ G2: dict[str, BaseModel] = {
     "localizer_node": LocalizerParameters(laser_pose=(0.15, 0, 0.35, 0, 0, 0)),
     "registrar_node": RegistrarParameters(laser_pose=(-0.05, 0, 0.60, 0, round(-math.pi / 2, 7), 0), max_wait=60.0),
     "sweep_node": SweepParameters(laser_pose=(0.15, 0, 0.60, 0, 0, 0)),
-    "reconstruct_node": ReconstructParameters(),
+    "reconstruct_node": ReconstructParameters(rebuild="every_n_seconds"),
     "map_merger_node": MapMergerParameters(),
     "replay_node": ReplayParameters(),
 }

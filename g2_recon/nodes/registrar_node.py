@@ -13,14 +13,16 @@ from secrets import randbits
 from time import monotonic
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan, PointCloud2
-from std_msgs.msg import UInt32MultiArray
+from std_msgs.msg import UInt32, UInt32MultiArray
 
 from g2_recon.geometry.cloud import Piece
+from g2_recon.geometry.scan import Scan
 from g2_recon.nodes import conversions
+from g2_recon.nodes.journals import MessageJournal
 from g2_recon.nodes.parameters import RegistrarParameters
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode
@@ -48,16 +50,28 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._mount = LaserMount(self, self.settings.laser_pose, self.settings.base_frame, Transforms(self))
         self._registrar: Registrar | None = None
         # Poses that come before the pose of the laser is known.
-        self._early_poses: deque[tuple[float, NDArray]] = deque(maxlen=self.settings.queue_depth)
+        self._early_poses: deque[tuple[float, NDArray]] = deque()
         self._jumps = self._new_jumps()
         self._registered = self._renewed = 0
         self._newest_stamp, self._subscribers = Time(), 0
         self._begin_source()
+        # Of lives before this one, whose points are now those of this one.
+        self._former_sources: list[int] = []
+        # Scans of lives before, until the pose of the laser is known.
+        self._early_scans: list[Scan] = []
         depth = self.settings.queue_depth
         self._cloud_publisher = self.create_publisher(PointCloud2, "cloud", reliable_qos(depth))
         self.offer_trigger("~/reset", self._reset)
         self._renew_timer = self.create_timer(_RENEW_PERIOD_S, self._renew, clock=self.steady_clock)
         self._renew_timer.cancel()
+        takers = {
+            "source": (UInt32, lambda message: self._former_sources.append(message.data)),
+            "pose": (PoseStamped, self._add_pose),
+            "scan": (LaserScan, self._take_up_scan),
+        }
+        self._journal = MessageJournal(self, self.settings.session_dir, "scans.journal", takers)
+        self._journal.take_up()
+        self._journal.keep("source", UInt32(data=self._source))
         self.create_timer(_WATCH_PERIOD_S, self._watch_subscribers, clock=self.steady_clock)
         self.listen(UInt32MultiArray, "cloud_wanted", self._on_wanted, reliable_qos(depth))
         self.listen(Path, "trajectory", self._on_trajectory, LATCHED, raw=True)
@@ -101,15 +115,20 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         return values
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
-        if not self._in_map_frame(message.header.frame_id, "pose"):
-            return
-        T_map_base = self.usable(conversions.pose_matrix, message.pose.pose, "pose")
+        if self._in_map_frame(message.header.frame_id, "pose"):
+            self._add_pose(PoseStamped(header=message.header, pose=message.pose.pose))
+
+    def _add_pose(self, message: PoseStamped) -> None:
+        T_map_base = self.usable(conversions.pose_matrix, message.pose, "pose")
         if T_map_base is None:
             return
         stamp = conversions.stamp_seconds(message.header.stamp)
         self._reset_if_jumped("pose", stamp)
+        self._journal.keep("pose", message)
         if self._registrar is None:
             self._early_poses.append((stamp, T_map_base))
+            if len(self._early_poses) > self.settings.queue_depth and not self._early_scans:
+                self._early_poses.popleft()
             return
         self._registrar.add_pose(stamp, T_map_base)
         self._publish_registered()
@@ -123,11 +142,35 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         if T_base_laser is None:
             self.drops["scan of a laser with unknown pose"] += 1
             return
-        if self._registrar is None:
-            self._registrar = Registrar(self.settings, T_base_laser, keep_scans=True)
-            for stamp, T_map_base in self._early_poses:
-                self._registrar.add_pose(stamp, T_map_base)
-            self._early_poses.clear()
+        self._journal.keep("scan", message)
+        self._start_registrar(T_base_laser)
+        self._add_scan(scan)
+
+    def _take_up_scan(self, message: LaserScan) -> None:
+        """A scan of a life before: where the pose of the laser comes from TF, it is not known yet."""
+        scan = self.usable(conversions.scan_from_message, message, "scan")
+        if scan is None:
+            return
+        T_base_laser = self._mount.find(scan.frame_id)
+        if T_base_laser is None:
+            self._early_scans.append(scan)
+            return
+        self._start_registrar(T_base_laser)
+        self._add_scan(scan)
+
+    def _start_registrar(self, T_base_laser: NDArray) -> None:
+        if self._registrar is not None:
+            return
+        self._registrar = Registrar(self.settings, T_base_laser, keep_scans=True)
+        for stamp, T_map_base in self._early_poses:
+            self._registrar.add_pose(stamp, T_map_base)
+        self._early_poses.clear()
+        for scan in self._early_scans:
+            self._registrar.add_scan(scan)
+        self._early_scans.clear()
+
+    def _add_scan(self, scan: Scan) -> None:
+        assert self._registrar is not None
         self._registrar.add_scan(scan)
         self._publish_registered()
 
@@ -197,6 +240,10 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         """Whoever comes late gets all that was before."""
         before, self._subscribers = self._subscribers, self._cloud_publisher.get_subscription_count()
         if self._subscribers > before and self._registrar is not None:
+            # Points of scans that are kept no more would not come again.
+            if not self._registrar.released:
+                for source in self._former_sources:
+                    self._take_back(source)
             self._registrar.renew_all()
             self._renew_if_needed()
 
@@ -220,11 +267,21 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         self._early_poses.clear()
         if self._registrar is not None:
             self.drops.update({key.removeprefix("dropped: "): count for key, count in self._registrar_drops().items()})
+            if self._registrar.waiting:
+                self.drops["scan that waited at a reset"] += self._registrar.waiting
             self._registrar.reset()
-            head = conversions.header(self._newest_stamp, self.settings.map_frame)
-            self._cloud_publisher.publish(conversions.no_pieces_message(head, self._source))
+            for source in (*self._former_sources, self._source):
+                self._take_back(source)
             self._begin_source()
+        self._former_sources.clear()
+        self._early_scans.clear()
+        self._journal.clear()
+        self._journal.keep("source", UInt32(data=self._source))
         return "forgot all poses, scans and points"
+
+    def _take_back(self, source: int) -> None:
+        head = conversions.header(self._newest_stamp, self.settings.map_frame)
+        self._cloud_publisher.publish(conversions.no_pieces_message(head, source))
 
     def _registrar_drops(self) -> dict[str, int]:
         assert self._registrar is not None

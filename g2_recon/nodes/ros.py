@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
+from numba.core.event import Event, Listener, register
 from numpy.typing import ArrayLike, NDArray
 from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
@@ -94,6 +95,7 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threa
         return 1
     nodes: list[Node] = []
     executor: Executor | None = None
+    say_when_kernels_compile()
     try:
         nodes.extend(make() for make in create)
         executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
@@ -147,6 +149,29 @@ class RobotTransforms:
                 self._own[robot] = self._node.create_publisher(tf2_msgs.TFMessage, f"{robot}/tf", reliable_qos(100))
             message = conversions.transform_message(stamp, world, frame, T_world_map)
             self._own[robot].publish(tf2_msgs.TFMessage(transforms=[message]))
+
+
+class _CompileListener(Listener):
+    """Says once that a kernel is being compiled, which nobody would guess of a node that does not answer."""
+
+    def __init__(self) -> None:
+        self._said = False
+
+    def on_start(self, event: Event) -> None:
+        if not self._said:
+            self._said = True
+            rclpy.logging.get_logger("g2_recon").warning(
+                "compiling kernels: the first time ever, work begins after half a minute or more, and scans wait; "
+                "`python -m g2_recon.warm_up` does it beforehand"
+            )
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
+def say_when_kernels_compile() -> None:
+    """From now on, log a warning when Numba compiles a kernel that it does not find on disk."""
+    register("numba:compile", _CompileListener())
 
 
 class Transforms:

@@ -4,9 +4,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece, concatenate
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Points that belong together. As long as their version is the same, points are only added, behind those before."""
+
+    version: int
+    cloud: Cloud
 
 
 @dataclass(slots=True)
@@ -16,6 +25,7 @@ class _Parts:
     revision: int
     clouds: list[Cloud]
     left_out: bool = False
+    version: int = 0
 
     def merged(self) -> Cloud:
         if len(self.clouds) > 1:
@@ -38,9 +48,9 @@ class CollectedCloud:
     """
 
     def __init__(self) -> None:
-        self._plain: list[Cloud] = []
+        self._plain = _Parts(0, [])
         self._sources: dict[tuple[str, int], _Source] = {}
-        self._count = 0
+        self._count = self._versions = 0
 
     def __len__(self) -> int:
         return self._count
@@ -53,7 +63,7 @@ class CollectedCloud:
         if piece is None:
             if leave_out:
                 return "left out"
-            self._plain.append(cloud)
+            self._plain.clouds.append(cloud)
             self._count += len(cloud)
             return ""
         source = self._sources.setdefault((topic, piece.source), _Source())
@@ -74,25 +84,34 @@ class CollectedCloud:
             return "left out"
         if known is None or piece.revision > known.revision:
             self._count -= 0 if known is None else sum(map(len, known.clouds))
-            known = source.pieces[piece.number] = _Parts(piece.revision, [])
+            known = source.pieces[piece.number] = _Parts(piece.revision, [], version=self._new_version())
         known.clouds.append(cloud)
         self._count += len(cloud)
         return ""
 
     def cloud(self) -> Cloud:
         """All points there are: first those that are of no piece, then piece by piece."""
-        if len(self._plain) > 1:
-            self._plain = [concatenate(self._plain)]
-        pieces = [parts.merged() for source in self._sources.values() for _, parts in sorted(source.pieces.items())]
-        return concatenate([*self._plain, *(cloud for cloud in pieces if len(cloud))])
+        return concatenate([part.cloud for part in self.parts().values()])
+
+    def parts(self) -> dict[Hashable, Part]:
+        """The same, part by part: to tell what has changed since another time, compare versions and lengths."""
+        parts: dict[Hashable, _Parts] = {None: self._plain}
+        for name, source in self._sources.items():
+            parts |= {(name, number): source.pieces[number] for number in sorted(source.pieces)}
+        merged = {key: Part(part.version, part.merged()) for key, part in parts.items()}
+        return {key: part for key, part in merged.items() if len(part.cloud)}
 
     def clear(self) -> None:
         """Forget all points. Of each source, pieces before the latest are not taken in again."""
-        self._count -= sum(map(len, self._plain))
-        self._plain = []
+        self._count -= sum(map(len, self._plain.clouds))
+        self._plain = _Parts(0, [], version=self._new_version())
         for source in self._sources.values():
             # What was measured since then may belong to the latest one.
             self._forget(source, max(source.pieces, default=source.first))
+
+    def _new_version(self) -> int:
+        self._versions += 1
+        return self._versions
 
     def _forget(self, source: _Source, first: int) -> None:
         self._count -= sum(len(cloud) for parts in source.pieces.values() for cloud in parts.clouds)

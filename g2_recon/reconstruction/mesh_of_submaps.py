@@ -46,9 +46,11 @@ _GRAIN = 5e-6
 # A cell whose triangle turns away from the surface of its neurons by more than 73 deg is folded.
 _LEAST_AGREEMENT = 0.3
 
+_NO_FACES = np.empty((0, 3), np.int64)
+
 
 @dataclass(frozen=True, slots=True)
-class _Neurons:
+class Neurons:
     """The neurons that have data.
 
     places, normals, centers: (V, 3), a center is a point of the tangent plane. submap: (V,). bent: (V,) whether it lies
@@ -65,7 +67,7 @@ class _Neurons:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sheet:
+class Sheet:
     """A mesh in the making: vertices (V, 3) m, the neurons first; faces (F, 3) and the submap (F,) of each."""
 
     vertices: Float
@@ -74,10 +76,14 @@ class _Sheet:
 
 
 @dataclass(frozen=True, slots=True)
-class _Data:
-    """The points, a grid of them, how near (m) they must lie to a triangle to support it, and the workers on them."""
+class Data:
+    """The points (N, 3), the neighbors (N, 8) of each as in SurfacePoints, and a grid of them.
 
-    surface: SurfacePoints
+    near: m, so near they must lie to a triangle to support it. workers: on them.
+    """
+
+    points: Float
+    neighbors: NDArray[np.int32]
     grid: PointGrid
     near: float
     workers: int
@@ -87,24 +93,32 @@ def mesh_of_submaps(
     surface: SurfacePoints, submaps: FlatSubmaps, owner: Int, config: ReconstructionConfig, workers: int
 ) -> Mesh:
     """The mesh of all submaps. owner: (N,) the neuron of each point of the surface, -1 for none."""
+    data = data_of(surface.points, surface.neighbors, config, workers)
+    neurons = with_data(submaps, owner)
+    return finished(join(neurons, sound_cells(neurons, data), data, config), neurons, data, config)
+
+
+def data_of(points: Float, neighbors: NDArray[np.int32], config: ReconstructionConfig, workers: int) -> Data:
+    """The data of a mesh: points (N, 3) on the surface and their neighbors (N, 8)."""
     near = config.support_distance or config.spacing
     # In cells of this size any point of an occupied one is near enough.
-    data = _Data(surface, point_grid(surface.points, cell=near / math.sqrt(3)), near, workers)
-    neurons = with_data(submaps, owner)
-    cells = sound_cells(neurons, data)
-    joined = join(neurons, cells, data, config)
+    return Data(points, neighbors, point_grid(points, cell=near / math.sqrt(3)), near, workers)
+
+
+def finished(joined: Sheet, neurons: Neurons, data: Data, config: ReconstructionConfig) -> Mesh:
+    """The mesh of submaps that are joined, with its creases and borders."""
     creased = crease(joined, neurons)
     fitted = fit_bends(creased, neurons, data, config)
     extended = extend(fitted, creased, neurons, data, config)
     return finish(extended, data, config)
 
 
-def with_data(submaps: FlatSubmaps, owner: Int) -> _Neurons:
+def with_data(submaps: FlatSubmaps, owner: Int) -> Neurons:
     """The neurons that are the best matching unit of a point, numbered anew, and the cells between them."""
     used = submaps.hits > 0
     number = np.where(used, np.cumsum(used) - 1, -1)
     submap = submaps.submap[used]
-    return _Neurons(
+    return Neurons(
         places=submaps.vertices[used],
         normals=submaps.normals[used],
         centers=submaps.center[used],
@@ -115,8 +129,11 @@ def with_data(submaps: FlatSubmaps, owner: Int) -> _Neurons:
     )
 
 
-def sound_cells(neurons: _Neurons, data: _Data) -> Int:
-    """The cells (C', 3) that are covered by data, that of their own submap, are not folded and cross no other."""
+def sound_cells(neurons: Neurons, data: Data, known: Int = _NO_FACES) -> Int:
+    """The cells (C', 3) that are covered by data, that of their own submap, are not folded and cross no other.
+
+    known: (K, 3) faces between the neurons that are sound already and come first in the result.
+    """
     cells = neurons.cells
     normal = area_vectors(neurons.places, cells)
     along = np.einsum("fi,fi->f", normal, neurons.normals[cells[:, 0]])
@@ -125,46 +142,55 @@ def sound_cells(neurons: _Neurons, data: _Data) -> Int:
     label = np.where(neurons.owner >= 0, neurons.submap[neurons.owner], -1)
     submap = neurons.submap[cells[:, 0]]
     cells = cells[on_own_data(neurons.places, cells, submap, data.grid, label, data.near, data.workers)]
-    return np.asarray(cells[remove_crossings(neurons.places, cells, neurons.places, workers=data.workers)[1]])
+    faces = np.concatenate([known, cells])
+    new = np.arange(len(faces)) >= len(known)
+    return np.asarray(
+        faces[remove_crossings(neurons.places, faces, neurons.places, among=new, workers=data.workers)[1]]
+    )
 
 
-def join(neurons: _Neurons, cells: Int, data: _Data, config: ReconstructionConfig) -> _Sheet:
-    """Phase 3: the strips between the submaps, and the small holes that the front left."""
+def join(neurons: Neurons, sound: Int, data: Data, config: ReconstructionConfig) -> Sheet:
+    """Phase 3: the strips between the submaps, and the small holes that the front left.
+
+    sound: (F, 3) the cells of the submaps, and strips that are there already.
+    """
     edge = config.spacing
+    cells = sound[(neurons.submap[sound] == neurons.submap[sound[:, :1]]).all(axis=1)]
     if len(cells):
         edge = float(np.median(np.linalg.norm(neurons.places[cells[:, 0]] - neurons.places[cells[:, 1]], axis=1)))
     joins = join_submaps(
         neurons.places,
         neurons.normals,
-        cells,
+        sound,
         data.grid,
         reach=_REACH * config.theta * edge,
         spacing=edge,
         support_distance=data.near,
     )
-    faces = np.concatenate([cells, joins])
-    return _filled(_Sheet(neurons.places, faces, neurons.submap[faces[:, 0]]), data)
+    faces = np.concatenate([sound, joins])
+    faces = _filled(Sheet(neurons.places, faces, neurons.submap[faces[:, 0]]), data).faces
+    return Sheet(neurons.places, faces, neurons.submap[faces[:, 0]])
 
 
-def crease(sheet: _Sheet, neurons: _Neurons) -> _Sheet:
+def crease(sheet: Sheet, neurons: Neurons) -> Sheet:
     """Vertices where the planes of neighboring submaps meet."""
     creased = insert_creases(sheet.vertices, sheet.faces, neurons.normals, neurons.centers, neurons.submap)
-    return _Sheet(creased.vertices, creased.faces, sheet.submap[creased.origin])
+    return Sheet(creased.vertices, creased.faces, sheet.submap[creased.origin])
 
 
-def fit_bends(sheet: _Sheet, neurons: _Neurons, data: _Data, config: ReconstructionConfig) -> _Sheet:
+def fit_bends(sheet: Sheet, neurons: Neurons, data: Data, config: ReconstructionConfig) -> Sheet:
     """Phase 4, where the surface is curved: the triangles, not only the neurons, lie amid the points."""
     count = len(sheet.vertices)
     # A crease moves where it touches a bend.
     free = np.concatenate([neurons.bent, _touching(sheet.faces, neurons.bent, count)[len(neurons.bent) :]])
     around = _touching(sheet.faces, free, count)
-    points = data.surface.points[(neurons.owner >= 0) & around[neurons.owner]]
+    points = data.points[(neurons.owner >= 0) & around[neurons.owner]]
     limit = _FARTHEST_FIT * config.spacing
     vertices = fit_to_points(sheet.vertices, sheet.faces, free, points, limit=limit, workers=data.workers)
-    return _Sheet(vertices, sheet.faces, sheet.submap)
+    return Sheet(vertices, sheet.faces, sheet.submap)
 
 
-def extend(sheet: _Sheet, home: _Sheet, neurons: _Neurons, data: _Data, config: ReconstructionConfig) -> _Sheet:
+def extend(sheet: Sheet, home: Sheet, neurons: Neurons, data: Data, config: ReconstructionConfig) -> Sheet:
     """Phase 4, at borders that stay open: out to where the data ends. What crosses then goes back towards `home`."""
     # Without a normal a crease vertex moves along its crease only.
     normals = np.concatenate([neurons.normals, np.zeros((len(sheet.vertices) - len(neurons.normals), 3))])
@@ -172,35 +198,35 @@ def extend(sheet: _Sheet, home: _Sheet, neurons: _Neurons, data: _Data, config: 
         sheet.vertices,
         sheet.faces,
         normals,
-        data.surface.points,
-        data.surface.neighbors,
+        data.points,
+        data.neighbors,
         neurons.owner,
         limit=_FARTHEST_EXTENSION * config.spacing,
     )
     vertices, sound = remove_crossings(extended, sheet.faces, home.vertices, workers=data.workers)
-    return _Sheet(vertices, sheet.faces[sound], sheet.submap[sound])
+    return Sheet(vertices, sheet.faces[sound], sheet.submap[sound])
 
 
-def finish(sheet: _Sheet, data: _Data, config: ReconstructionConfig) -> Mesh:
+def finish(sheet: Sheet, data: Data, config: ReconstructionConfig) -> Mesh:
     """The mesh with small holes closed, one fan of faces a vertex, and without scraps."""
     grain = _GRAIN * config.spacing
     # Only where no two fans share a vertex has each hole a border of its own.
     vertices, faces, _ = split_pinched(sheet.vertices, sheet.faces)
-    sheet = _parted(_filled(_Sheet(vertices, faces, sheet.submap), data), grain, data.workers)
+    sheet = _parted(_filled(Sheet(vertices, faces, sheet.submap), data), grain, data.workers)
     large = large_pieces(sheet.vertices, sheet.faces, least_area=_LEAST_PIECE * config.spacing**2)
     used, number = np.unique(sheet.faces[large], return_inverse=True)
     return Mesh(sheet.vertices[used], number.reshape(-1, 3).astype(np.int64), sheet.submap[large])
 
 
-def _filled(sheet: _Sheet, data: _Data) -> _Sheet:
+def _filled(sheet: Sheet, data: Data) -> Sheet:
     """The sheet with small holes closed where there is data; a new face takes the submap of a neighbor."""
     new = fill_small_loops(sheet.vertices, sheet.faces, data.grid, support_distance=data.near)
     beside = np.zeros(len(sheet.vertices), np.int64)
     beside[sheet.faces] = sheet.submap[:, None]
-    return _Sheet(sheet.vertices, np.concatenate([sheet.faces, new]), np.concatenate([sheet.submap, beside[new[:, 0]]]))
+    return Sheet(sheet.vertices, np.concatenate([sheet.faces, new]), np.concatenate([sheet.submap, beside[new[:, 0]]]))
 
 
-def _parted(sheet: _Sheet, grain: float, workers: int) -> _Sheet:
+def _parted(sheet: Sheet, grain: float, workers: int) -> Sheet:
     """The sheet with coordinates in multiples of the grain (m), one fan of faces a vertex, and no crossings.
 
     The copies of a vertex move into their fans, which may take one through another where that lies around it, and so
@@ -214,9 +240,9 @@ def _parted(sheet: _Sheet, grain: float, workers: int) -> _Sheet:
         moved = (vertices[faces] != corners).any(axis=(1, 2))
         _, sound = remove_crossings(vertices, faces, vertices, among=moved, workers=workers)
         if sound.all():
-            return _Sheet(vertices, faces, sheet.submap)
+            return Sheet(vertices, faces, sheet.submap)
         corners = vertices[faces[sound]]
-        sheet = _Sheet(sheet.vertices, sheet.faces[sound], sheet.submap[sound])
+        sheet = Sheet(sheet.vertices, sheet.faces[sound], sheet.submap[sound])
 
 
 def _touching(faces: Int, which: Mask, count: int) -> Mask:

@@ -8,9 +8,8 @@ import os
 from dataclasses import replace
 
 from g2_recon.config import ReconstructionConfig
-from g2_recon.geometry.cloud import Cloud, Piece
+from g2_recon.geometry.cloud import Cloud
 from g2_recon.progress import Progress, silent
-from g2_recon.reconstruction.collected_cloud import CollectedCloud
 from g2_recon.reconstruction.paper import reconstruct_as_published
 from g2_recon.reconstruction.result import Reconstruction
 from g2_recon.reconstruction.solid import reconstruct_solid
@@ -27,30 +26,3 @@ def reconstruct(cloud: Cloud, config: ReconstructionConfig, *, progress: Progres
     way = reconstruct_solid if config.mode == "solid" else reconstruct_as_published
     result = way(usable, config, progress=progress)
     return replace(result, left_out=left_out | result.left_out)
-
-
-class Reconstructor:
-    """Collects clouds as they come and reconstructs what there is on request."""
-
-    def __init__(self, config: ReconstructionConfig) -> None:
-        self._config = config
-        self._collected = CollectedCloud()
-
-    def __len__(self) -> int:
-        return len(self._collected)
-
-    def add_cloud(self, cloud: Cloud, piece: Piece | None = None, *, topic: str = "", leave_out: bool = False) -> str:
-        """Add points in the map frame, or replace them; see CollectedCloud.add."""
-        return self._collected.add(cloud, piece, topic=topic, leave_out=leave_out)
-
-    def cloud(self) -> Cloud:
-        """All points so far."""
-        return self._collected.cloud()
-
-    def reconstruct(self, *, progress: Progress = silent) -> Reconstruction:
-        """Reconstruct from all points so far; see the function of the same name."""
-        return reconstruct(self.cloud(), self._config, progress=progress)
-
-    def reset(self) -> None:
-        """Forget all points."""
-        self._collected.clear()

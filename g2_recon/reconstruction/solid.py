@@ -33,7 +33,7 @@ Int = NDArray[np.int64]
 Result = TypeVar("Result")
 
 # Everything scales with the spacing of the neurons; these shares of it were found at 20 cm, which suits a building.
-_RADIUS = 1.25
+NORMAL_RADIUS = 1.25
 _OFF_PLANE = 0.75
 _PATCH_CELLS = 40.0
 _PATCH_SIZE = 4.0
@@ -50,15 +50,11 @@ def reconstruct_solid(cloud: Cloud, config: ReconstructionConfig, *, progress: P
     """
     workers = config.workers or os.cpu_count() or 1
     frame = own_frame(cloud.points)
-    surface = _reported(lambda: find_surface(frame.of(cloud, workers=workers), config, workers), "normals", progress)
-    clusters = _reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
+    surface = reported(lambda: find_surface(frame.of(cloud, workers=workers), config, workers), "normals", progress)
+    clusters = reported(lambda: find_clusters(surface, config, workers), "clustering", progress)
     submaps, owner = build_submaps(surface, clusters, config, workers, progress)
-    mesh = _reported(lambda: mesh_of_submaps(surface, submaps, owner, config, workers), "joining", progress)
-    if not len(mesh.faces):
-        raise InputError(
-            "the cloud holds no patch of surface that its points cover",
-            advice="choose a larger spacing where points are far apart, or a smaller one where the surface is small",
-        )
+    mesh = reported(lambda: mesh_of_submaps(surface, submaps, owner, config, workers), "joining", progress)
+    check_covered(mesh.faces)
     mesh = replace(mesh, vertices=frame.back(mesh.vertices))
     error = np.linalg.norm(surface.points - submaps.vertices[owner], axis=1)[owner >= 0].mean()
     return Reconstruction(
@@ -76,7 +72,7 @@ def find_surface(cloud: Cloud, config: ReconstructionConfig, workers: int) -> Su
     return prepare(
         cloud,
         spacing=config.spacing,
-        radius=_RADIUS * config.spacing,
+        radius=NORMAL_RADIUS * config.spacing,
         off_plane=_OFF_PLANE * config.spacing,
         workers=workers,
     )
@@ -124,15 +120,25 @@ def build_submaps(
     return submaps, owner
 
 
+def check_covered(found: Float | Int) -> None:
+    """Raises InputError where no neurons, or no faces, were found."""
+    if not len(found):
+        raise InputError(
+            "the cloud holds no patch of surface that its points cover",
+            advice="choose a larger spacing where points are far apart, or a smaller one where the surface is small",
+        )
+
+
 def wire_of(mesh: Mesh) -> WireMesh:
     """The vertices and edges of a mesh as a wire mesh; a vertex belongs to the lowest submap among its faces."""
-    submap = np.full(len(mesh.vertices), len(mesh.submap) + 1)
+    submap = np.full(len(mesh.vertices), mesh.submap.max(initial=0))
     np.minimum.at(submap, mesh.faces.ravel(), np.repeat(mesh.submap, 3))
     edges, _ = edges_of(mesh.faces, len(mesh.vertices))
     return WireMesh(mesh.vertices, edges, submap, submap[edges[:, 0]] != submap[edges[:, 1]])
 
 
-def _reported(step: Callable[[], Result], stage: str, progress: Progress) -> Result:
+def reported(step: Callable[[], Result], stage: str, progress: Progress) -> Result:
+    """What a step returns; its beginning and end are told."""
     progress(stage, 0, 1)
     result = step()
     progress(stage, 1, 1)

@@ -28,13 +28,19 @@ def usable_points(cloud: Cloud, *, min_sensor_distance: float = 0.0, workers: in
     """
     finite = cloud.finite()
     left_out = {"not finite": len(cloud) - len(finite)}
-    near = _near_sensor(finite, min_sensor_distance, workers)
+    near = near_sensor(finite, min_sensor_distance, workers)
     good = finite.select(~near) if near.any() else finite
     left_out["nearer to the sensor than min_sensor_distance"] = len(finite) - len(good)
+    check_enough(good, len(cloud))
+    return good, {reason: count for reason, count in left_out.items() if count}
+
+
+def check_enough(good: Cloud, count: int) -> None:
+    """Raises InputError where the good ones among `count` points are too few for a surface, on one line or too wide."""
     distinct = distinct_points(good.points)
     if distinct < FEWEST_POINTS:
         raise InputError(
-            f"the cloud has {distinct} distinct usable points of {len(cloud)}",
+            f"the cloud has {distinct} distinct usable points of {count}",
             advice=f"a surface needs at least {FEWEST_POINTS}",
         )
     size = max(float(np.ptp(column)) for column in good.points.T)
@@ -46,7 +52,6 @@ def usable_points(cloud: Cloud, *, min_sensor_distance: float = 0.0, workers: in
     # Where a part of the points is not on one line, neither are all.
     if _on_one_line(good.points[:_ENOUGH_TO_SEE]) and _on_one_line(good.points):
         raise InputError("all points of the cloud lie on one line", advice="a surface needs points beside it")
-    return good, {reason: count for reason, count in left_out.items() if count}
 
 
 def distinct_points(points: Float) -> int:
@@ -57,7 +62,7 @@ def distinct_points(points: Float) -> int:
     return count
 
 
-def _near_sensor(cloud: Cloud, distance: float, workers: int) -> NDArray[np.bool_]:
+def near_sensor(cloud: Cloud, distance: float, workers: int) -> NDArray[np.bool_]:
     """Mask (N,) of the points nearer to their sensor than `distance` (m); none where sensors are not known."""
     near = np.zeros(len(cloud), bool)
     points, sensor = cloud.points, cloud.sensor

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import json
 import logging
+from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
@@ -35,6 +35,11 @@ _STL_ORIGIN = b"g2_recon origin m: "
 _COORDINATES = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
 
 
+def _trimesh() -> Any:
+    """The library, where it is needed: a node that starts has no half second for it."""
+    return import_module("trimesh")
+
+
 def write_mesh(path: str | Path, mesh: Mesh) -> None:
     """Write triangles; the ending says how: .ply, .obj, .stl or .glb.
 
@@ -52,7 +57,7 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
     elif ending in _FLOAT_ENDINGS and np.abs(mesh.vertices).max(initial=0.0) > _FLOAT_LIMIT:
         content = _relative_to_origin(path, ending, mesh)
     else:
-        content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type=ending)
+        content = _trimesh().Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type=ending)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
@@ -60,6 +65,7 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
 def _relative_to_origin(path: str | Path, ending: str, mesh: Mesh) -> bytes:
     """A GLB or STL file with coordinates relative to an origin of whole metres, which the file holds."""
     origin = np.nan_to_num(np.round(np.median(mesh.vertices, axis=0)))
+    trimesh = _trimesh()
     near = trimesh.Trimesh(mesh.vertices - origin, mesh.faces, process=False)
     if ending == "glb":
         placed = trimesh.Scene()
@@ -106,7 +112,7 @@ def read_mesh(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
     if ending == "glb":
         _check_glb(content, path)
     try:
-        loaded: Any = trimesh.load_mesh(BytesIO(content), file_type=ending, process=False)
+        loaded: Any = _trimesh().load_mesh(BytesIO(content), file_type=ending, process=False)
         if ending == "stl":
             loaded.merge_vertices()
         vertices: NDArray[np.float64] = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)

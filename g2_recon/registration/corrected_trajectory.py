@@ -101,6 +101,8 @@ class CorrectedTrajectory:
         rows = np.searchsorted(stamps, known)
         if len(known) and not (rows[-1] < len(stamps) and np.array_equal(stamps[rows], known)):
             return False
+        if self._count and len(stamps) and stamps[0] > self.last_stamp:
+            return False
         newest = known[-1] if len(known) else -np.inf
         new = (stamps > newest) & (stamps >= self.first_stamp) & (stamps <= self.last_stamp)
         self._ahead = keyframes if len(stamps) and stamps[-1] > self.last_stamp else None

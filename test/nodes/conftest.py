@@ -56,6 +56,10 @@ class Ros:
         thread.start()
         return node
 
+    def alive(self) -> bool:
+        """Whether no node ended by a fault."""
+        return all(thread.is_alive() for _, _, thread in self._running)
+
     def collect(self, kind: type, topic: str, qos: Any = 1000) -> list[Any]:
         """A list that fills with the messages of a topic that has a publisher."""
         received: list[Any] = []
@@ -109,6 +113,19 @@ def module_ros() -> Iterator[Ros]:
     started = Ros()
     yield started
     started.close()
+
+
+@pytest.fixture(scope="module")
+def module_ros_with() -> Iterator[Callable[..., Ros]]:
+    """The same, started by the module with arguments of its own."""
+    with ExitStack() as ends:
+
+        def start(*arguments: str) -> Ros:
+            started = Ros(*arguments)
+            ends.callback(started.close)
+            return started
+
+        yield start
 
 
 @pytest.fixture

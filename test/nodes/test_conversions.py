@@ -18,12 +18,10 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from std_msgs.msg import Header
-from visualization_msgs.msg import Marker, MarkerArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece
-from g2_recon.geometry.mesh import Mesh, WireMesh
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
@@ -50,12 +48,6 @@ def make_scan(**changes) -> Scan:
         "frame_id": "laser",
     }
     return Scan(**(values | changes))
-
-
-def make_wire_mesh() -> WireMesh:
-    vertices = np.arange(18.0).reshape(6, 3)
-    edges = np.array([[0, 1], [1, 2], [3, 4], [4, 5], [2, 3]])
-    return WireMesh(vertices, edges, np.array([0, 0, 0, 7, 7, 7]), np.array([False] * 4 + [True]))
 
 
 def layout_message(points, fields, *, padding=0, big=False, row_padding=0, height=1) -> PointCloud2:
@@ -364,51 +356,21 @@ def test_a_cloud_whose_data_is_cut_short_is_refused():
         conversions.cloud_from_message(message)
 
 
+@pytest.mark.parametrize("width", [0, 3])
+def test_points_of_more_bytes_than_memory_has_are_refused_or_none(width):
+    message = layout_message(np.ones((3, 3)), [(name, FLOAT32) for name in "xyz"])
+    message.width, message.point_step = width, 2**32 - 1
+    if width:
+        with pytest.raises(InputError, match="does not fit"):
+            conversions.cloud_from_message(message)
+    else:
+        assert len(conversions.cloud_from_message(message)) == 0
+
+
 def test_a_cloud_without_z_is_refused_and_says_so():
     message = layout_message(np.ones((3, 2)), [(name, FLOAT32) for name in "xy"])
     with pytest.raises(InputError, match="no field z"):
         conversions.cloud_from_message(message)
-
-
-def lines(marker: Marker) -> np.ndarray:
-    return np.array([(point.x, point.y, point.z) for point in marker.points]).reshape(-1, 2, 3)
-
-
-def test_a_wire_mesh_becomes_one_marker_a_submap_and_one_for_the_joins():
-    mesh = make_wire_mesh()
-    _, *markers = conversions.wire_mesh_markers(HEAD, mesh).markers
-    assert [(marker.ns, marker.id) for marker in markers] == [("wire_mesh", 0), ("wire_mesh", 7), ("joins", 0)]
-    drawn = np.concatenate([lines(marker) for marker in markers])
-    np.testing.assert_array_equal(drawn, mesh.vertices[mesh.edges])
-
-
-def test_a_mesh_becomes_one_list_of_triangles_a_submap():
-    vertices = np.arange(12.0).reshape(4, 3)
-    mesh = Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3], [1, 2, 3]]), np.array([4, 2, 4]))
-    _, second, fourth = conversions.mesh_markers(HEAD, mesh).markers
-    assert (second.id, len(second.points), fourth.id, len(fourth.points)) == (2, 3, 4, 6)
-    assert {second.type, fourth.type} == {Marker.TRIANGLE_LIST}
-
-
-def test_markers_first_delete_what_was_shown():
-    first = conversions.wire_mesh_markers(HEAD, make_wire_mesh()).markers[0]
-    assert first.action == Marker.DELETEALL
-
-
-def test_an_empty_mesh_deletes_what_was_shown():
-    mesh = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64), np.empty(0, np.int64))
-    assert [marker.action for marker in conversions.mesh_markers(HEAD, mesh).markers] == [Marker.DELETEALL]
-
-
-def test_markers_are_drawn_as_they_are():
-    array_ = through_the_wire(conversions.wire_mesh_markers(HEAD, make_wire_mesh()))
-    assert isinstance(array_, MarkerArray)
-    for marker in array_.markers[1:]:
-        assert marker.header.frame_id == "map"
-        assert marker.pose.orientation.w == 1.0
-        assert marker.color.a == 1.0
-        assert 0 < marker.scale.x <= 0.1
-        assert (marker.lifetime.sec, marker.lifetime.nanosec) == (0, 0)
 
 
 def test_an_occupancy_grid_becomes_a_message_row_by_row_from_its_origin():

@@ -25,11 +25,13 @@ from std_srvs.srv import Trigger
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization.localizer import Localizer
 from g2_recon.nodes import conversions
 from g2_recon.nodes.localizer_node import LocalizerNode
 from g2_recon.nodes.reconstruct_node import ReconstructNode
 from g2_recon.nodes.ros import LATCHED
+from g2_recon.reconstruction.collected_cloud import CollectedCloud
 from g2_recon.recording.clouds import read_cloud
 from g2_recon.recording.journal import Journal
 from g2_recon.recording.sessions import read_session, write_session
@@ -68,17 +70,17 @@ def robot(ros, tmp_path):
         harness.process.kill()
         harness.process.wait()
 
-    def until_a_scan_came(publish):
+    def until_they_came(publish, *topics):
         """A node learns of a publisher later than that of it, and misses what is sent before: publish again."""
 
         def came():
-            if robot_tells() and harness.value("received scan") == "0":
+            if len(harness.diagnostics) < 2:
+                return False
+            lacking = any(harness.value(f"received {topic}") == "0" for topic in topics)
+            if lacking:
                 harness.diagnostics.clear()
                 publish()
-            return robot_tells() and harness.value("received scan") != "0"
-
-        def robot_tells():
-            return len(harness.diagnostics) > 1
+            return not lacking
 
         harness.wait_until(came, 60)
 
@@ -87,7 +89,7 @@ def robot(ros, tmp_path):
             harness.diagnostics.append(message)
 
     harness.observer.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
-    harness.start, harness.kill, harness.until_a_scan_came = start, kill, until_a_scan_came
+    harness.start, harness.kill, harness.until_they_came = start, kill, until_they_came
     harness.value = lambda key: {pair.key: pair.value for pair in harness.diagnostics[-1].status[0].values}.get(key)
     yield harness
     if harness.process is not None:
@@ -102,7 +104,7 @@ def drive(robot, niche_scan):
         poses = robot.collect(PoseWithCovarianceStamped, f"{robot.space}/pose")
         scans = robot.publisher(LaserScan, f"{robot.space}/scan")
         first_scan, *others = [look(100.0 + later + 0.2 * step, WAY[step]) for step in range(first, last)]
-        robot.until_a_scan_came(lambda: scans.publish(first_scan))
+        robot.until_they_came(lambda: scans.publish(first_scan), "scan")
         for scan in others:
             scans.publish(scan)
         robot.wait_until(lambda: len(poses) == last - first, 60)
@@ -152,7 +154,7 @@ def test_wheels_lead_over_the_time_in_which_a_localizer_was_away(robot, niche_sc
             message.pose.pose = conversions.pose_message(se3.from_se2(way[step]))
             wheels.publish(message)
 
-        robot.until_a_scan_came(lambda: publish(0))
+        robot.until_they_came(lambda: publish(0), "scan", "odom")
         for step in range(1, len(way)):
             publish(step)
         robot.wait_until(lambda: len(poses) == len(way), 60)
@@ -285,3 +287,66 @@ def test_a_hostile_journal_is_counted_and_the_node_goes_on(ros, tmp_path):
     harness.wait_until(
         lambda: diagnostics and ("points", "200") in [(p.key, p.value) for p in diagnostics[-1].status[0].values]
     )
+
+
+def test_a_registrar_that_is_killed_still_moves_the_points_of_its_life_before(robot, room_scan):
+    """Whoever collected them then has each point once, where the keyframes have the robot now."""
+    collected = CollectedCloud()
+    mounted = ("-p", f"laser_pose:=[0.0,0.0,0.6,0.0,{-np.pi / 2},0.0]")
+
+    def collect(message):
+        collected.add(
+            conversions.usable_points(conversions.cloud_from_message(message)), conversions.piece_from_message(message)
+        )
+
+    def live(first, last, keyframe_x):
+        """Scans of these seconds, from 1 m further each, and a first keyframe that turned out to be elsewhere."""
+        robot.start("registrar_node", *mounted)
+        robot.observer.create_subscription(PointCloud2, f"{robot.space}/cloud", collect, 1000)
+        poses = robot.publisher(PoseWithCovarianceStamped, f"{robot.space}/pose")
+        scans = robot.publisher(LaserScan, f"{robot.space}/scan_vertical")
+        path = robot.publisher(PathMessage, f"{robot.space}/trajectory", LATCHED)
+
+        def publish(second):
+            for step in range(3):
+                head = Header(stamp=conversions.stamp_message(100.0 + second + 0.2 * step), frame_id="map")
+                poses.publish(conversions.planar_pose_message(head, (float(second), 0.0, 0.0), np.eye(3)))
+            scans.publish(room_scan(100.1 + second))
+
+        robot.until_they_came(lambda: publish(first), "pose", "scan_vertical")
+        for second in range(first + 1, last):
+            publish(second)
+        robot.wait_until(lambda: robot.value("registered scans") == str(last))
+        keyframe = Trajectory(np.array([100.0]), np.array([[keyframe_x, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.0, 1.0]]))
+        path.publish(conversions.path_message(Header(frame_id="map"), keyframe))
+        per_scan = len(scan_points)
+        robot.wait_until(lambda: np.array_equal(seconds_seen(), np.arange(last) + keyframe_x), 20)
+        assert len(collected) == last * per_scan
+        robot.kill()
+
+    def seconds_seen():
+        return np.unique(np.round(collected.cloud().points[:, 0], 4))
+
+    scan_points = conversions.scan_from_message(room_scan(100.0)).points(range_min=0.2, range_max=30.0)[1]
+    live(0, 3, 0.0)
+    live(3, 5, 0.5)
+
+
+def test_a_registrar_that_was_reset_does_not_go_on_where_it_was(robot, room_scan):
+    mounted = ("-p", f"laser_pose:=[0.0,0.0,0.6,0.0,{-np.pi / 2},0.0]")
+    robot.start("registrar_node", *mounted)
+    poses = robot.publisher(PoseWithCovarianceStamped, f"{robot.space}/pose")
+    scans = robot.publisher(LaserScan, f"{robot.space}/scan_vertical")
+
+    def publish():
+        for stamp in (100.0, 100.2):
+            head = Header(stamp=conversions.stamp_message(stamp), frame_id="map")
+            poses.publish(conversions.planar_pose_message(head, (0.0, 0.0, 0.0), np.eye(3)))
+        scans.publish(room_scan(100.1))
+
+    robot.until_they_came(publish, "pose", "scan_vertical")
+    robot.wait_until(lambda: robot.value("registered scans") == "1")
+    assert robot.call(Trigger, f"{robot.node}/reset").success
+    robot.kill()
+    robot.start("registrar_node", *mounted)
+    assert robot.value("registered scans") == "0"

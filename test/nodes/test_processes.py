@@ -117,3 +117,36 @@ def test_a_misspelled_parameter_is_named(start):
     end.start()
     assert any("there is no parameter 'max_rang'" in line for line in process.stdout)
     end.cancel()
+
+
+_COMPILES = """
+import numba, sys
+from g2_recon.nodes.ros import say_when_kernels_compile
+say_when_kernels_compile()
+for kernel in (abs, round):
+    numba.njit(lambda x, kernel=kernel: kernel(x))(1.5)
+"""
+
+
+def test_a_process_that_compiles_kernels_says_so_once():
+    ended = subprocess.run(
+        [sys.executable, "-c", _COMPILES],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert (ended.stdout + ended.stderr).count("compiling kernels") == 1
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_starts_without_what_only_files_need(node):
+    """trimesh alone takes half a second."""
+    code = f"import sys, g2_recon.nodes.{node}; assert 'trimesh' not in sys.modules"
+    subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+        timeout=120,
+        check=True,
+    )

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
-from g2_recon.reconstruction.reconstructor import Reconstructor, reconstruct
+from g2_recon.reconstruction.reconstructor import reconstruct
 
 PAPER_CUBES = {"clusters": 12, "rows": 10, "columns": 5}
 
@@ -203,13 +203,3 @@ def test_any_cloud_gives_a_finite_mesh_or_an_input_error(points, clusters, mode)
         return
     assert np.isfinite(result.mesh.vertices).all()
     assert np.isfinite(result.quantization_error)
-
-
-def test_clouds_that_come_one_by_one_count_like_one_cloud(corner):
-    stage = Reconstructor(ReconstructionConfig())
-    for part in np.array_split(np.arange(len(corner)), 7):
-        stage.add_cloud(corner.select(part))
-    whole = reconstruct(corner, ReconstructionConfig())
-    assert stage.reconstruct().mesh.vertices.tolist() == whole.mesh.vertices.tolist()
-    stage.reset()
-    assert len(stage.cloud()) == 0

@@ -1,0 +1,308 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""The live mesh: how soon new data shows in it, and how near it comes to the offline mesh of the same data.
+
+    python benchmarks/live_mesh.py --clouds FOLDER
+
+FOLDER holds floor_rot.npz: `points` with `sensor` and the `scan` (N,) that each is of, and the truth beside them. The
+scans of it, and those of bags/first_floor, are sent to a reconstruct_node in a process of its own, one a message, as a
+registrar does; then a third of them once more from 5 cm higher up, as after a closed loop, and once more from where
+they were. A scan is shown once a message of `mesh` has its stamp or that of a later one. Meanwhile ~/pause is called
+again and again: what it takes to answer is how long the executor was held.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock, Thread
+
+import numpy as np
+import rclpy
+from numpy.typing import NDArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from report import Table, page, save
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker, MarkerArray
+
+from g2_recon.config import G2ReconConfig, ReconstructionConfig
+from g2_recon.evaluation.surface import score_surface
+from g2_recon.geometry.cloud import Cloud, Piece, concatenate
+from g2_recon.geometry.mesh import TrueSurface
+from g2_recon.nodes import conversions
+from g2_recon.nodes.ros import reliable_qos
+from g2_recon.pipeline import localize, register
+from g2_recon.reconstruction.reconstructor import reconstruct
+from g2_recon.recording.bags import read_bag
+from g2_recon.recording.surfaces import read_true_surface
+
+ROOT = Path(__file__).parents[1]
+OUT = ROOT / "out/benchmarks"
+BAG = ROOT / "bags/first_floor"
+
+# So many scans a message of the correction, as the registrar has them in a piece; moved by so much, m.
+_SCANS_A_PIECE = 16
+_CORRECTION_M = 0.05
+# All that was sent is shown, or never will be.
+_LONGEST_S = 60.0
+_QUIET_S = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A cloud in pieces and the surface that it was measured on."""
+
+    name: str
+    pieces: list[Cloud]
+    truth: TrueSurface
+
+    def whole(self) -> Cloud:
+        """All pieces."""
+        return concatenate(self.pieces)
+
+    def f5(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
+        """F5 in percent."""
+        return 100 * score_surface(self.truth, vertices, faces, thresholds=[0.05]).at[0].f_score
+
+
+def floor(path: Path) -> Scene:
+    """A floor of a building, scan by scan."""
+    data = np.load(path)
+    order = np.argsort(data["scan"], kind="stable")
+    starts = np.flatnonzero(np.diff(data["scan"][order])) + 1
+    whole = Cloud(data["points"].astype(float), data["sensor"].astype(float))
+    return Scene(path.stem, [whole.select(rows) for rows in np.split(order, starts)], read_true_surface(path))
+
+
+def first_floor() -> Scene:
+    """The recording of the package, as it is registered offline; pieces of about a scan."""
+    recording, settings = read_bag(BAG), G2ReconConfig()
+    trajectory = localize(recording, settings.localization).trajectory
+    cloud = register(recording, trajectory, settings.registration).cloud
+    pieces = [cloud.select(rows) for rows in np.array_split(np.arange(len(cloud)), len(cloud) // 170)]
+    truth = read_true_surface(BAG / "truth/surfaces.npz")
+    return Scene("bags/first_floor", pieces, TrueSurface(truth.vertices, truth.faces, cloud.points))
+
+
+class Watched:
+    """A reconstruct_node, what it shows, and how soon."""
+
+    def __init__(self, rebuild: str) -> None:
+        self._node = rclpy.create_node("benchmark")
+        qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._node.create_subscription(MarkerArray, "mesh", self._on_mesh, qos)
+        self._clouds = self._node.create_publisher(PointCloud2, "cloud", reliable_qos(10_000))
+        self._pause = self._node.create_client(SetBool, "reconstruct_node/pause")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._thread = Thread(target=self._executor.spin, daemon=True)
+        self._thread.start()
+        self._taking = Lock()
+        self.corners: dict[tuple[str, int], NDArray[np.float64]] = {}
+        self._stamp = 0
+        self.waiting: list[tuple[int, float]] = []
+        self.delays: list[float] = []
+        self.answers: list[float] = []
+        self.last_shown = 0.0
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "g2_recon.nodes.reconstruct_node", "--ros-args", "-p", f"rebuild:={rebuild}"]
+            + ["-p", "rebuild_period:=1.0", "-p", "queue_depth:=10000"],
+            cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+            stderr=subprocess.DEVNULL,
+        )
+        wait(lambda: self._clouds.get_subscription_count() > 0 and self._pause.service_is_ready())
+
+    def close(self) -> None:
+        """Kill the node."""
+        self._process.kill()
+        self._process.wait()
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.destroy_node()
+
+    def send(self, cloud: Cloud, piece: int, revision: int = 0) -> None:
+        """Send a cloud, with a stamp one second after that of the one before."""
+        self._stamp += 1
+        head = Header(stamp=conversions.stamp_message(float(self._stamp)), frame_id="map")
+        message = conversions.cloud_to_message(head, cloud, Piece(1, piece, revision))
+        with self._taking:
+            self.waiting.append((self._stamp, time.monotonic()))
+        self._clouds.publish(message)
+
+    def ask(self) -> None:
+        """Call a service that has nothing to do, and note how long the answer takes."""
+        began = time.monotonic()
+        future = self._pause.call_async(SetBool.Request(data=False))
+        future.add_done_callback(lambda _: self.answers.append(time.monotonic() - began))
+
+    def settle(self) -> None:
+        """Wait until the mesh has shown all that was sent, and what is shown has stood still."""
+        wait(lambda: not self.waiting, _LONGEST_S)
+        wait(lambda: time.monotonic() - self.last_shown > _QUIET_S, _LONGEST_S)
+
+    def reconstruct(self) -> str:
+        """~/reconstruct."""
+        client = self._node.create_client(Trigger, "reconstruct_node/reconstruct")
+        client.wait_for_service(10)
+        future = client.call_async(Trigger.Request())
+        wait(future.done, _LONGEST_S)
+        return str(future.result().message)
+
+    def mesh(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Vertices and faces of what is shown; corners at one place are one vertex."""
+        with self._taking:
+            corners = np.concatenate(list(self.corners.values()))
+        vertices, number = np.unique(corners, axis=0, return_inverse=True)
+        return vertices, number.reshape(-1, 3)
+
+    def memory_mb(self) -> float:
+        """Of the node, now."""
+        status = Path(f"/proc/{self._process.pid}/status").read_text()
+        return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
+
+    def processor_s(self) -> float:
+        """What the node used so far."""
+        ticks = Path(f"/proc/{self._process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(ticks[11]) + int(ticks[12])) / os.sysconf("SC_CLK_TCK")
+
+    def _on_mesh(self, message: MarkerArray) -> None:
+        now = time.monotonic()
+        stamps = [conversions.stamp_seconds(marker.header.stamp) for marker in message.markers]
+        with self._taking:
+            for marker in message.markers:
+                if marker.action == Marker.DELETEALL:
+                    self.corners.clear()
+                elif marker.action == Marker.DELETE:
+                    self.corners.pop((marker.ns, marker.id), None)
+                else:
+                    self.corners[marker.ns, marker.id] = np.array([(p.x, p.y, p.z) for p in marker.points])
+            self.delays += [now - sent for number, sent in self.waiting if number <= max(stamps)]
+            self.waiting = [(number, sent) for number, sent in self.waiting if number > max(stamps)]
+        self.last_shown = now
+
+
+def wait(holds, seconds: float = 120.0) -> None:  # type: ignore[no-untyped-def]
+    """Wait until something holds."""
+    end = time.monotonic() + seconds
+    while not holds():
+        if time.monotonic() > end:
+            raise TimeoutError
+        time.sleep(0.01)
+
+
+@contextmanager
+def watched(rebuild: str) -> Iterator[Watched]:
+    """A node that is killed at the end."""
+    node = Watched(rebuild)
+    try:
+        yield node
+    finally:
+        node.close()
+
+
+def measure(scene: Scene, rebuild: str, rate: float) -> list[dict[str, object]]:
+    """Rows of the table: while it grows, at its full size, after a correction, after ~/reconstruct."""
+    offline = reconstruct(scene.whole(), ReconstructionConfig()).mesh
+    offline_f5 = scene.f5(offline.vertices, offline.faces)
+    rows = []
+
+    def note(what: str) -> None:
+        delays, answers = 1e3 * np.array(node.delays), 1e3 * np.array(node.answers)
+        score = scene.f5(*node.mesh())
+        rows.append(
+            {
+                "cloud": scene.name,
+                "points": len(scene.whole()),
+                "what": what,
+                "shown after ms, median": f"{np.median(delays):.0f}" if len(delays) else "",
+                "95 %": f"{np.quantile(delays, 0.95):.0f}" if len(delays) else "",
+                "most": f"{delays.max():.0f}" if len(delays) else "",
+                "answers ms, 99 %": f"{np.quantile(answers, 0.99):.1f}" if len(answers) else "",
+                "F5": f"{score:.2f}",
+                "offline": f"{offline_f5:.2f}",
+                "faces": len(node.mesh()[1]),
+                "cores": f"{(node.processor_s() - used) / (time.monotonic() - began):.2f}",
+                "MB": f"{node.memory_mb():.0f}",
+            }
+        )
+        node.delays.clear()
+        node.answers.clear()
+
+    with watched(rebuild) as node:
+        began, used = time.monotonic(), node.processor_s()
+        for number, cloud in enumerate(scene.pieces):
+            node.send(cloud, number // _SCANS_A_PIECE)
+            node.ask()
+            time.sleep(max(0.0, began + number / rate - time.monotonic()))
+            if number == len(scene.pieces) * 9 // 10:
+                # What is shown from here on is at nine tenths of the size or more.
+                note("while it grows to 90 %")
+        node.settle()
+        note("to its end")
+        began, used = time.monotonic(), node.processor_s()
+        count = -(-len(scene.pieces) // _SCANS_A_PIECE)
+        for revision, lift in ((1, _CORRECTION_M), (2, 0.0)):
+            for number in range(count // 3, 2 * count // 3):
+                part = concatenate(scene.pieces[number * _SCANS_A_PIECE : (number + 1) * _SCANS_A_PIECE])
+                up = np.array([0.0, 0.0, lift])
+                sensor = None if part.sensor is None else part.sensor + up
+                node.send(Cloud(part.points + up, sensor), number, revision)
+                node.ask()
+            node.settle()
+        note("a third of it moved and back")
+        node.reconstruct()
+        time.sleep(_QUIET_S)
+        note("after ~/reconstruct")
+    return rows
+
+
+def main() -> None:
+    """Measure; see above."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clouds", type=Path, help="folder with floor_rot.npz; without it only the recording")
+    parser.add_argument("--rebuild", default="continuous", choices=["continuous", "every_n_seconds"])
+    parser.add_argument("--rate", type=float, default=10.0, help="scans a second; a robot at 0.5 m/s has one each 8 cm")
+    given = parser.parse_args()
+    scenes = [floor(given.clouds / "floor_rot.npz")] if given.clouds else []
+    scenes.append(first_floor())
+    rclpy.init()
+    rows = [row for scene in scenes for row in measure(scene, given.rebuild, given.rate)]
+    rclpy.shutdown()
+    OUT.mkdir(parents=True, exist_ok=True)
+    note = (
+        f"`rebuild: {given.rebuild}`, {given.rate:g} scans a second. Answers are those of a service that has nothing "
+        "to do, over DDS and back; cores and MB are those of the node; F5 in percent. "
+        f"The load of the machine was {os.getloadavg()[1]:.1f} at the end, that of this benchmark included."
+    )
+    save(OUT / "live_mesh.json", Table("The live mesh", note, {"": rows}))
+    whole = page(HEAD, [OUT / "live_mesh.json", OUT / "nodes.json"])
+    sys.stdout.write(whole)
+    (OUT / "live_benchmarks.md").write_text(whole)
+
+
+HEAD = """# Benchmarks of the nodes
+
+Made by
+
+    python benchmarks/nodes.py
+    python benchmarks/live_mesh.py --clouds FOLDER
+
+with the clouds of [the benchmarks of surfaces](benchmarks.md); this page is copied from `out/benchmarks/`.
+Times tell what a robot would see only on a quiet machine: with a load of 9 on 2 cores, all waits are several times too
+long. F5, faces, cores and memory hardly depend on it.
+"""
+
+
+if __name__ == "__main__":
+    main()
