@@ -8,26 +8,18 @@ import math
 import sys
 from collections import deque
 from collections.abc import Iterator, Sequence
-from secrets import randbits
-from time import monotonic
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
-from sensor_msgs.msg import LaserScan, PointCloud2
+from sensor_msgs.msg import LaserScan
 
-from g2_recon.geometry.cloud import Piece
 from g2_recon.nodes import conversions
 from g2_recon.nodes.parameters import RegistrarParameters
+from g2_recon.nodes.piece_publisher import PiecePublisher
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode
-from g2_recon.registration.registrar import RegisteredCloud, Registrar
-
-# Pieces are placed anew for so long at a time, and scans and poses have their turn in between, s.
-_RENEW_S, _RENEW_PERIOD_S = 0.005, 0.015
-# How often it is looked whether somebody subscribes who lacks what was before, s.
-_WATCH_PERIOD_S = 0.5
+from g2_recon.registration.registrar import Registrar
 
 # A pose that is so much older than the scans is missing.
 _LATE_POSE_S = 1.0
@@ -48,14 +40,10 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         # Poses that come before the pose of the laser is known.
         self._early_poses: deque[tuple[float, NDArray]] = deque(maxlen=self.settings.queue_depth)
         self._jumps = self._new_jumps()
-        self._registered = self._renewed = 0
-        self._source, self._newest_stamp, self._subscribers = randbits(32), Time(), 0
+        self._registered = 0
         depth = self.settings.queue_depth
-        self._cloud_publisher = self.create_publisher(PointCloud2, "cloud", reliable_qos(depth))
+        self._cloud = PiecePublisher(self, self.settings.map_frame, depth, self.steady_clock)
         self.offer_trigger("~/reset", self._reset)
-        self._renew_timer = self.create_timer(_RENEW_PERIOD_S, self._renew, clock=self.steady_clock)
-        self._renew_timer.cancel()
-        self.create_timer(_WATCH_PERIOD_S, self._watch_subscribers, clock=self.steady_clock)
         self.listen(Path, "trajectory", self._on_trajectory, LATCHED, raw=True)
         self.listen(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
         self.listen(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
@@ -91,7 +79,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
             values["scans that wait for a pose"] = self._registrar.waiting
             values["scans kept to be placed anew"] = self._registrar.kept
             values["scans too old to be placed anew"] = self._registrar.released
-            values["pieces placed anew"] = self._renewed
+            values["pieces placed anew"] = self._cloud.renewed
             values["pieces to be placed anew"] = self._registrar.to_renew
             values |= self._registrar_drops()
         return values
@@ -121,6 +109,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
             return
         if self._registrar is None:
             self._registrar = Registrar(self.settings, T_base_laser, keep_scans=True)
+            self._cloud.follow(self._registrar)
             for stamp, T_map_base in self._early_poses:
                 self._registrar.add_pose(stamp, T_map_base)
             self._early_poses.clear()
@@ -139,7 +128,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         if self._registrar is None or not self._in_map_frame(frame, "trajectory"):
             return
         if self._registrar.follow(keyframes):
-            self._renew_if_needed()
+            self._cloud.renew_if_needed()
         else:
             self.get_logger().warning("the trajectory is of another map: forgetting poses and scans")
             self._reset()
@@ -147,39 +136,9 @@ class RegistrarNode(StageNode[RegistrarParameters]):
     def _publish_registered(self) -> None:
         assert self._registrar is not None
         for registered in self._registrar.take():
-            if not self._registered:
-                self._subscribers = self._cloud_publisher.get_subscription_count()
-            self._publish(registered)
+            self._cloud.publish(registered)
             self._registered += 1
-        self._renew_if_needed()
-
-    def _publish(self, registered: RegisteredCloud) -> None:
-        self._newest_stamp = conversions.stamp_message(registered.stamp)
-        head = conversions.header(self._newest_stamp, self.settings.map_frame)
-        piece = Piece(self._source, registered.piece, registered.revision)
-        self._cloud_publisher.publish(conversions.cloud_to_message(head, registered.cloud, piece))
-
-    def _renew_if_needed(self) -> None:
-        assert self._registrar is not None
-        if self._registrar.to_renew and self._renew_timer.is_canceled():
-            self._renew_timer.reset()
-
-    def _renew(self) -> None:
-        """Publish pieces that have moved, as many as there is time for."""
-        end = monotonic() + _RENEW_S
-        while self._registrar is not None and (renewed := self._registrar.renew()):
-            self._publish(renewed)
-            self._renewed += 1
-            if monotonic() > end:
-                return
-        self._renew_timer.cancel()
-
-    def _watch_subscribers(self) -> None:
-        """Whoever comes late gets all that was before."""
-        before, self._subscribers = self._subscribers, self._cloud_publisher.get_subscription_count()
-        if self._subscribers > before and self._registrar is not None:
-            self._registrar.renew_all()
-            self._renew_if_needed()
+        self._cloud.renew_if_needed()
 
     def _in_map_frame(self, frame: str, what: str) -> bool:
         if frame == self.settings.map_frame:
@@ -202,9 +161,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         if self._registrar is not None:
             self.drops.update({key.removeprefix("dropped: "): count for key, count in self._registrar_drops().items()})
             self._registrar.reset()
-            head = conversions.header(self._newest_stamp, self.settings.map_frame)
-            self._cloud_publisher.publish(conversions.no_pieces_message(head, self._source))
-            self._source = randbits(32)
+            self._cloud.take_back()
         return "forgot all poses, scans and points"
 
     def _registrar_drops(self) -> dict[str, int]:
