@@ -225,6 +225,17 @@ class SweepConfig(_Model):
         0.1, "standard deviation of the heading of odometry between two sweeps", "rad", ge=0.001, le=4
     )
 
+    correction_distance: float = _setting(
+        0.01,
+        "live: a sweep is published anew where later ones have moved it further than this ...",
+        "m",
+        ge=0,
+        le=1,
+    )
+    correction_angle: float = _setting(
+        round(math.radians(0.1), 4), "... or have turned it further than this since", "rad", ge=0, le=1
+    )
+
     min_tilt: float = _setting(
         0.35, "tilting laser: a sweep whose tilt covers less is refused", "rad", ge=0.01, le=2 * math.pi
     )

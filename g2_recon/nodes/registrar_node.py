@@ -6,32 +6,23 @@ from __future__ import annotations
 
 import math
 import sys
-from array import array
 from collections import deque
 from collections.abc import Iterator, Sequence
-from secrets import randbits
-from time import monotonic
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
-from sensor_msgs.msg import LaserScan, PointCloud2
-from std_msgs.msg import UInt32, UInt32MultiArray
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import UInt32
 
-from g2_recon.geometry.cloud import Piece
 from g2_recon.geometry.scan import Scan
 from g2_recon.nodes import conversions
 from g2_recon.nodes.journals import MessageJournal
 from g2_recon.nodes.parameters import RegistrarParameters
+from g2_recon.nodes.piece_publisher import PiecePublisher
 from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode
-from g2_recon.registration.registrar import RegisteredCloud, Registrar
-
-# Pieces are placed anew for so long at a time, and scans and poses have their turn in between, s.
-_RENEW_S, _RENEW_PERIOD_S = 0.005, 0.015
-# How often it is looked whether somebody subscribes who lacks what was before, s.
-_WATCH_PERIOD_S = 0.5
+from g2_recon.registration.registrar import Registrar
 
 # A pose that is so much older than the scans is missing.
 _LATE_POSE_S = 1.0
@@ -52,28 +43,20 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         # Poses that come before the pose of the laser is known.
         self._early_poses: deque[tuple[float, NDArray]] = deque()
         self._jumps = self._new_jumps()
-        self._registered = self._renewed = 0
-        self._newest_stamp, self._subscribers = Time(), 0
-        self._begin_source()
-        # Of lives before this one, whose points are now those of this one.
-        self._former_sources: list[int] = []
+        self._registered = 0
         # Scans of lives before, until the pose of the laser is known.
         self._early_scans: list[Scan] = []
         depth = self.settings.queue_depth
-        self._cloud_publisher = self.create_publisher(PointCloud2, "cloud", reliable_qos(depth))
+        self._cloud = PiecePublisher(self, self.settings.map_frame, depth)
         self.offer_trigger("~/reset", self._reset)
-        self._renew_timer = self.create_timer(_RENEW_PERIOD_S, self._renew, clock=self.steady_clock)
-        self._renew_timer.cancel()
         takers = {
-            "source": (UInt32, lambda message: self._former_sources.append(message.data)),
+            "source": (UInt32, lambda message: self._cloud.former_sources.append(message.data)),
             "pose": (PoseStamped, self._add_pose),
             "scan": (LaserScan, self._take_up_scan),
         }
         self._journal = MessageJournal(self, self.settings.session_dir, "scans.journal", takers)
         self._journal.take_up()
-        self._journal.keep("source", UInt32(data=self._source))
-        self.create_timer(_WATCH_PERIOD_S, self._watch_subscribers, clock=self.steady_clock)
-        self.listen(UInt32MultiArray, "cloud_wanted", self._on_wanted, reliable_qos(depth))
+        self._journal.keep("source", UInt32(data=self._cloud.source))
         self.listen(Path, "trajectory", self._on_trajectory, LATCHED, raw=True)
         self.listen(PoseWithCovarianceStamped, "pose", self._on_pose, reliable_qos(depth))
         self.listen(LaserScan, "scan_vertical", self._on_scan, sensor_qos(depth))
@@ -109,7 +92,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
             values["scans that wait for a pose"] = self._registrar.waiting
             values["scans kept to be placed anew"] = self._registrar.kept
             values["scans too old to be placed anew"] = self._registrar.released
-            values["pieces placed anew"] = self._renewed
+            values["pieces placed anew"] = self._cloud.renewed
             values["pieces to be placed anew"] = self._registrar.to_renew
             values |= self._registrar_drops()
         return values
@@ -162,6 +145,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         if self._registrar is not None:
             return
         self._registrar = Registrar(self.settings, T_base_laser, keep_scans=True)
+        self._cloud.follow(self._registrar)
         for stamp, T_map_base in self._early_poses:
             self._registrar.add_pose(stamp, T_map_base)
         self._early_poses.clear()
@@ -186,7 +170,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         if self._registrar is None or not self._in_map_frame(frame, "trajectory"):
             return
         if self._registrar.follow(keyframes):
-            self._renew_if_needed()
+            self._cloud.renew_if_needed()
         else:
             self.get_logger().warning("the trajectory is of another map: forgetting poses and scans")
             self._reset()
@@ -194,58 +178,9 @@ class RegistrarNode(StageNode[RegistrarParameters]):
     def _publish_registered(self) -> None:
         assert self._registrar is not None
         for registered in self._registrar.take():
-            if not self._registered:
-                self._subscribers = self._cloud_publisher.get_subscription_count()
-            self._publish(registered)
+            self._cloud.publish(registered)
             self._registered += 1
-        self._renew_if_needed()
-
-    def _publish(self, registered: RegisteredCloud) -> None:
-        self._newest_stamp = conversions.stamp_message(registered.stamp)
-        head = conversions.header(self._newest_stamp, self.settings.map_frame)
-        piece = Piece(self._source, registered.piece, registered.revision)
-        self._cloud_publisher.publish(conversions.cloud_to_message(head, registered.cloud, piece, len(self._sent)))
-        self._sent.append(registered.piece)
-
-    def _begin_source(self) -> None:
-        """Of each message of the source, by its sequence number, which piece it was of."""
-        self._source, self._sent = randbits(32), array("I")
-
-    def _on_wanted(self, message: UInt32MultiArray) -> None:
-        """Somebody lacks the messages from one sequence number to before another of a source."""
-        if len(message.data) != 3:
-            self.drop("unusable request", "cloud_wanted needs source, first and end of the sequence numbers")
-            return
-        source, begin, end = message.data
-        if self._registrar is not None and source == self._source:
-            self._registrar.renew_pieces(self._sent[begin:end])
-            self._renew_if_needed()
-
-    def _renew_if_needed(self) -> None:
-        assert self._registrar is not None
-        if self._registrar.to_renew and self._renew_timer.is_canceled():
-            self._renew_timer.reset()
-
-    def _renew(self) -> None:
-        """Publish pieces that have moved, as many as there is time for."""
-        end = monotonic() + _RENEW_S
-        while self._registrar is not None and (renewed := self._registrar.renew()):
-            self._publish(renewed)
-            self._renewed += 1
-            if monotonic() > end:
-                return
-        self._renew_timer.cancel()
-
-    def _watch_subscribers(self) -> None:
-        """Whoever comes late gets all that was before."""
-        before, self._subscribers = self._subscribers, self._cloud_publisher.get_subscription_count()
-        if self._subscribers > before and self._registrar is not None:
-            # Points of scans that are kept no more would not come again.
-            if not self._registrar.released:
-                for source in self._former_sources:
-                    self._take_back(source)
-            self._registrar.renew_all()
-            self._renew_if_needed()
+        self._cloud.renew_if_needed()
 
     def _in_map_frame(self, frame: str, what: str) -> bool:
         if frame == self.settings.map_frame:
@@ -270,18 +205,11 @@ class RegistrarNode(StageNode[RegistrarParameters]):
             if self._registrar.waiting:
                 self.drops["scan that waited at a reset"] += self._registrar.waiting
             self._registrar.reset()
-            for source in (*self._former_sources, self._source):
-                self._take_back(source)
-            self._begin_source()
-        self._former_sources.clear()
+        self._cloud.take_back()
         self._early_scans.clear()
         self._journal.clear()
-        self._journal.keep("source", UInt32(data=self._source))
+        self._journal.keep("source", UInt32(data=self._cloud.source))
         return "forgot all poses, scans and points"
-
-    def _take_back(self, source: int) -> None:
-        head = conversions.header(self._newest_stamp, self.settings.map_frame)
-        self._cloud_publisher.publish(conversions.no_pieces_message(head, source))
 
     def _registrar_drops(self) -> dict[str, int]:
         assert self._registrar is not None

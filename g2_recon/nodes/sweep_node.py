@@ -20,6 +20,7 @@ from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.trajectory import PoseBuffer, Trajectory
 from g2_recon.nodes import conversions
 from g2_recon.nodes.parameters import SweepParameters
+from g2_recon.nodes.piece_publisher import PiecePublisher
 from g2_recon.nodes.ros import Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode, session_folder
 from g2_recon.recording.clouds import write_cloud
@@ -31,7 +32,7 @@ Float = NDArray[np.float64]
 
 
 class SweepNode(StageNode[SweepParameters]):
-    """Publishes the points of each sweep once, at its place as known then; ~/save writes all at their final places."""
+    """Publishes the points of each sweep at its place, and anew where later ones move it or somebody comes late."""
 
     def __init__(self) -> None:
         """Raises ConfigError where a parameter is wrong."""
@@ -47,7 +48,8 @@ class SweepNode(StageNode[SweepParameters]):
         self._stamps: list[float] = []
         self._placed: dict[str, int] = {}
         depth = self.settings.queue_depth
-        self._cloud_publisher = self.create_publisher(PointCloud2, "cloud", reliable_qos(depth))
+        self._cloud = PiecePublisher(self, self.settings.map_frame, depth)
+        self._cloud.follow(self._merger)
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "sweep_pose", reliable_qos(depth))
         self.offer_trigger("~/reset", self._reset)
         self.offer_trigger("~/save", self._save)
@@ -69,6 +71,7 @@ class SweepNode(StageNode[SweepParameters]):
     def figures(self) -> dict[str, object]:
         """See StageNode."""
         values: dict[str, object] = {"sweeps in the cloud": len(self._merger), "loops closed": self._merger.loops}
+        values |= {"sweeps published anew": self._cloud.renewed, "sweeps to be published": self._merger.to_renew}
         values |= {f"sweeps placed: {quality}": count for quality, count in self._placed.items()}
         if self._waiting:
             values["sweeps that wait for odometry"] = len(self._waiting)
@@ -144,7 +147,7 @@ class SweepNode(StageNode[SweepParameters]):
 
     def _place(self, stamp: float, cloud: Cloud, T_odom_laser: Float | None, T_base_laser: Float) -> None:
         try:
-            placed = self._merger.add(cloud, T_odom_laser)
+            placed = self._merger.add(cloud, T_odom_laser, stamp=stamp)
         except InputError as error:
             self.drop("unusable sweep", str(error))
             return
@@ -156,11 +159,14 @@ class SweepNode(StageNode[SweepParameters]):
             return
         self._stamps.append(stamp)
         head = conversions.header(conversions.stamp_message(stamp), self.settings.map_frame)
-        self._cloud_publisher.publish(conversions.cloud_to_message(head, self._merger.placed(len(self._merger) - 1)))
+        new = self._merger.renew()
+        assert new is not None
+        self._cloud.publish(new)
+        self._cloud.renew_if_needed()
         T_map_laser = self._merger.poses()[-1]
         T_map_base = T_map_laser @ se3.inverse(T_base_laser)
         covariance = conversions.moved_covariance(
-            self._merger.covariances()[-1], T_map_base[:3, 3] - T_map_laser[:3, 3]
+            self._merger.covariance(len(self._merger) - 1), T_map_base[:3, 3] - T_map_laser[:3, 3]
         )
         self._pose_publisher.publish(conversions.pose_with_covariance_message(head, T_map_base, covariance))
 
@@ -178,7 +184,9 @@ class SweepNode(StageNode[SweepParameters]):
             self._reset()
 
     def _reset(self) -> str:
+        """Start anew; what was published is taken back."""
         self._merger.reset()
+        self._cloud.take_back()
         self._waiting.clear()
         self._stamps.clear()
         self._placed.clear()

@@ -30,6 +30,9 @@ _STRAY = 0.01
 # What is thinner than this many sigmas of noise, or than this share of the spacing, is explained by its plane or bend.
 _THIN_NOISE = 1.35
 _THIN_SPACING = 0.01
+# What is narrower than this share of the spacing is a line, such as a scan with none beside it. It stands for the
+# surface on both sides of it: its map is this share of the spacing wide.
+_LINE, _LINE_WIDTH = 0.25, 0.5
 # Clusters go to the workers in so many groups, the largest first.
 _GROUPS = 64
 # The plane of a neuron tilts by less than 45 deg against that of its cluster.
@@ -44,8 +47,8 @@ class FlatSubmaps:
 
     vertices: (V, 3) neurons on the surface, m. normals: (V, 3) of the surface there. center: (V, 3) a point on the
     tangent plane of each neuron. submap: (V,). faces: (F, 3) triangles of all cells, counterclockwise seen from the
-    free side. hits: (V,) how many points each neuron has. bent: (K,) whether a submap lies on a bend. bmu: (N,) the
-    neuron of each point.
+    free side. hits: (V,) how many points each neuron has. covered: (V,) whether it has any, or on a line the one across
+    has. bent: (K,) whether a submap lies on a bend. bmu: (N,) the neuron of each point.
     """
 
     vertices: Float
@@ -54,6 +57,7 @@ class FlatSubmaps:
     submap: Int
     faces: Int
     hits: Int
+    covered: NDArray[np.bool_]
     bent: NDArray[np.bool_]
     bmu: Int
 
@@ -107,6 +111,8 @@ def train_submaps(
     center[on_bend] = onto_bend(bends[submap[on_bend]], neurons[on_bend])
     _take_local_planes(normals, center, rough, flat.points, weights, bmu, sheets)
     neurons = neurons - np.einsum("vi,vi->v", neurons - center, normals)[:, None] * normals
+    hits = np.bincount(bmu, minlength=len(neurons))
+    covered = _widen_lines(neurons, hits > 0, flat, sheets, spacing)
     frames, origin = flat.frames[submap], plane_center[submap]
     vertices = _turned(neurons, frames) + origin
     neuron_of_point = np.empty(len(points), np.int64)
@@ -117,7 +123,8 @@ def train_submaps(
         center=_turned(center, frames) + origin,
         submap=submap,
         faces=_triangles(sheets, vertices),
-        hits=np.bincount(bmu, minlength=len(neurons)),
+        hits=hits,
+        covered=covered,
         bent=bent,
         bmu=neuron_of_point,
     )
@@ -256,6 +263,23 @@ def _take_local_planes(
     fitted *= np.where(fitted[:, 2:] < 0, -1.0, 1.0)
     upright = fitted[:, 2] > _LEAST_UPRIGHT
     normals[number[upright]], center[number[upright]] = fitted[upright], mean[upright]
+
+
+def _widen_lines(neurons: Float, covered: Mask, flat: _Flat, sheets: _Sheets, spacing: float) -> Mask:
+    """Move the two rows of neurons (V, 3) of a map on a line apart, in place; covered (V,) where one of the two was."""
+    narrow = flat.high - flat.low < _LINE * spacing
+    covered = covered.copy()
+    for axis in range(2):
+        lines = narrow[:, axis] & ~narrow[:, 1 - axis]
+        number = np.flatnonzero(lines[sheets.submap])
+        own = sheets.submap[number]
+        columns = sheets.shape[own, 1]
+        side = np.divmod(number - sheets.first[own], columns)[axis]
+        across = number + (1 - 2 * side) * (columns if axis == 0 else 1)
+        middle = 0.5 * (neurons[number, axis] + neurons[across, axis])
+        neurons[number, axis] = middle + (side - 0.5) * _LINE_WIDTH * spacing
+        covered[number] |= covered[across]
+    return covered
 
 
 def _sums_of_neighbors(values: Float, sheets: _Sheets, number: Int) -> Float:

@@ -38,7 +38,7 @@ _REACH = 1.25
 _FARTHEST_EXTENSION = 0.9
 # The fit looks for data of a triangle in this part of a cell around it.
 _FARTHEST_FIT = 0.25
-# A piece of less than this many cells, such as the strip that a single scan saw, is no surface that one would see.
+# A piece of less than this many cells is no surface that one would see.
 _LEAST_PIECE = 0.5
 # Coordinates are whole multiples of this share of the spacing, a micrometre at 20 cm: faces of one wall would else be
 # coplanar to the last bit, which exact tests of other tools take for overlap.
@@ -114,8 +114,8 @@ def finished(joined: Sheet, neurons: Neurons, data: Data, config: Reconstruction
 
 
 def with_data(submaps: FlatSubmaps, owner: Int) -> Neurons:
-    """The neurons that are the best matching unit of a point, numbered anew, and the cells between them."""
-    used = submaps.hits > 0
+    """The neurons that are covered by data, numbered anew, and the cells between them."""
+    used = submaps.covered
     number = np.where(used, np.cumsum(used) - 1, -1)
     submap = submaps.submap[used]
     return Neurons(

@@ -127,13 +127,15 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  #
                     # Three degrees of freedom of the noise went into the plane.
                     spread[a] = np.sqrt(max(square[a], 0.0) / max(number - 3, 1))
                 is_plane = spread[1] * _LINE > spread[2]
+                edge_on = False
                 if len(sensor):
                     rx, ry, rz = sensor[row, 0] - x, sensor[row, 1] - y, sensor[row, 2] - z
                     height = axes[0, 0] * rx + axes[1, 0] * ry + axes[2, 0] * rz
                     if height < 0:
                         for a in range(3):
                             axes[a, 0] = -axes[a, 0]
-                    is_plane &= abs(height) >= _EDGE_ON * np.sqrt(rx * rx + ry * ry + rz * rz)
+                    edge_on = abs(height) < _EDGE_ON * np.sqrt(rx * rx + ry * ry + rz * rz)
+                    is_plane &= not edge_on
                 if attempt:
                     break
                 kept = _on_one_side(points, sensor, tree.number, places[b], number, axes)
@@ -144,6 +146,8 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  #
                 neighbors_found[row] = found[b]
             elif not is_plane:
                 continue
+            if edge_on and _face_sensor(axes, rx, ry, rz):
+                spread[0] = spread[1]
             spans[row], deviation[row] = is_plane, spread[0]
             middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
             for a in range(3):
@@ -159,6 +163,22 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  #
                 if around[row, sector] < 0:
                     around[row, sector] = tree.number[places[b, n]]
         begin += size
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _face_sensor(axes, rx, ry, rz):  # type: ignore[no-untyped-def]
+    """Turn the normal in `axes` about the line of a scan, to face the sensor at (rx, ry, rz); whether it could be.
+
+    The plane through a line and the sensor is that of the scan. Of those that the line may lie on, the one at right
+    angles to it is least wrong.
+    """
+    along = rx * axes[0, 2] + ry * axes[1, 2] + rz * axes[2, 2]
+    x, y, z = rx - along * axes[0, 2], ry - along * axes[1, 2], rz - along * axes[2, 2]
+    length = np.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return False
+    axes[0, 0], axes[1, 0], axes[2, 0] = x / length, y / length, z / length
+    return True
 
 
 @numba.njit(cache=True, nogil=True)

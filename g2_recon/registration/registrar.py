@@ -19,6 +19,7 @@ from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.geometry.voxels import VoxelFilter
 from g2_recon.registration.corrected_trajectory import CorrectedTrajectory, Poses
 from g2_recon.registration.placing import place_beams
+from g2_recon.registration.registered_cloud import RegisteredCloud
 
 Float = NDArray[np.float64]
 
@@ -28,20 +29,6 @@ _POSES_KEPT_S = 2.0
 _MOST_BEAMS = 3000
 # Of so many latest scans the stamps are known, to tell when one comes again.
 _STAMPS_KEPT = 10_000
-
-
-@dataclass(frozen=True, slots=True)
-class RegisteredCloud:
-    """Points in the map frame, each with the place of the laser when it was measured.
-
-    stamp: of the scan in seconds; of the newest one where there are several. piece: that the points belong to.
-    revision: 0 for the points of one scan, as they come; above that: all points of the piece, in place of all before.
-    """
-
-    stamp: float
-    cloud: Cloud
-    piece: int = 0
-    revision: int = 0
 
 
 @dataclass(slots=True)

@@ -56,11 +56,20 @@ def optimize(poses: Float, edges: Sequence[Edge], *, held: int = 0) -> Float:
     return poses
 
 
-def covariances(poses: Float, edges: Sequence[Edge], *, held: int = 0) -> Float:
-    """Covariances (N, 6, 6) of poses (N, 4, 4) relative to the one that is held, in the order of ROS."""
+def covariances(poses: Float, edges: Sequence[Edge], which: Sequence[int], *, held: int = 0) -> Float:
+    """Covariances (W, 6, 6) of poses `which` of (N, 4, 4) relative to the one that is held, in the order of ROS."""
+    if not len(which):
+        return np.empty((0, 6, 6))
     matrix, _ = _normal_equations(poses, edges, held)
-    inverse = sparse_linalg.splu(matrix).solve(np.eye(matrix.shape[0]))
-    return np.array([inverse[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(len(poses))])
+    factors = sparse_linalg.splu(matrix)
+    result = np.empty((len(which), 6, 6))
+    for row, index in enumerate(which):
+        # Only six columns of the inverse are wanted at a time; all of it would not be sparse.
+        own = slice(6 * index, 6 * index + 6)
+        columns = np.zeros((matrix.shape[0], 6))
+        columns[own] = np.eye(6)
+        result[row] = factors.solve(columns)[own]
+    return result
 
 
 def deviation(poses: Float, edge: Edge) -> float:

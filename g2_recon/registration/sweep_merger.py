@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import logging
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +17,7 @@ from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.registration import sweep_graph
 from g2_recon.registration.prepared_sweep import PreparedSweep, implausible_scale, prepare
+from g2_recon.registration.registered_cloud import RegisteredCloud
 from g2_recon.registration.sweep_graph import Edge
 from g2_recon.registration.sweep_matching import Match, match
 
@@ -59,7 +62,8 @@ class PlacedSweep:
 class SweepMerger:
     """Lays each new sweep on those before it and keeps all poses consistent.
 
-    The map is the frame of the guesses; without guesses, the frame of the first sweep.
+    The map is the frame of the guesses; without guesses, the frame of the first sweep. `renew` hands out the sweeps
+    in the cloud, and anew those that later ones have moved.
     """
 
     def __init__(self, config: SweepConfig) -> None:
@@ -74,6 +78,11 @@ class SweepMerger:
         self._guesses: list[Float | None] = []
         self._poses: Float = np.empty((0, 4, 4))
         self._edges: list[Edge] = []
+        self._stamps: list[float] = []
+        # The poses by which sweeps were handed out, and how often.
+        self._told: Float = np.empty((0, 4, 4))
+        self._revisions: list[int] = []
+        self._to_renew: dict[int, None] = {}
         self._added = 0
 
     def __len__(self) -> int:
@@ -96,7 +105,11 @@ class SweepMerger:
 
     def covariances(self) -> Float:
         """Covariances (N, 6, 6) of the poses as seen from the first sweep: x y z (m), angles about them (rad)."""
-        return sweep_graph.covariances(self._poses, self._edges) if len(self) else np.empty((0, 6, 6))
+        return sweep_graph.covariances(self._poses, self._edges, range(len(self)))
+
+    def covariance(self, index: int) -> Float:
+        """That (6, 6) of one of the sweeps in the cloud, for a fraction of the time."""
+        return np.asarray(sweep_graph.covariances(self._poses, self._edges, [index])[0])
 
     def cloud(self) -> Cloud:
         """All points that count, in the map frame, each with where its laser was."""
@@ -107,8 +120,41 @@ class SweepMerger:
         points = se3.transform_points(self._poses[index], self._sweeps[index].measured)
         return Cloud(points, np.tile(self._poses[index][:3, 3], (len(points), 1)))
 
-    def add(self, sweep: Cloud, T_map_guess: ArrayLike | None = None) -> PlacedSweep:
+    @property
+    def to_renew(self) -> int:
+        """How many sweeps wait to be handed out."""
+        return len(self._to_renew)
+
+    @property
+    def released(self) -> int:
+        """How many sweeps are kept no more: none."""
+        return 0
+
+    def renew_all(self) -> None:
+        """Have all sweeps handed out anew, as for somebody who came late."""
+        self.renew_pieces(range(len(self)))
+
+    def renew_pieces(self, numbers: Iterable[int]) -> None:
+        """Have sweeps, as far as there are such, handed out anew, as for somebody who lacks them."""
+        self._to_renew |= {number: None for number in numbers if 0 <= number < len(self)}
+
+    def renew(self) -> RegisteredCloud | None:
+        """The next sweep that is new, or that others have moved, where it is known to lie now; None for none.
+
+        The newest comes first. A sweep is a piece; its revision is 0 at first.
+        """
+        if not self._to_renew:
+            return None
+        index = len(self) - 1 if len(self) - 1 in self._to_renew else next(iter(self._to_renew))
+        del self._to_renew[index]
+        self._revisions[index] += 1
+        self._told[index] = self._poses[index]
+        return RegisteredCloud(self._stamps[index], self.placed(index), index, self._revisions[index])
+
+    def add(self, sweep: Cloud, T_map_guess: ArrayLike | None = None, *, stamp: float = 0.0) -> PlacedSweep:
         """Place a sweep, points in the frame of its laser, with a guess (4, 4) by odometry where there is one.
+
+        stamp: s, goes with what `renew` hands out.
 
         Without a match that is to be believed it is placed by odometry; without odometry either it is left out.
         Raises InputError, and leaves everything as it was, where the sweep cannot be used or the guess is no transform.
@@ -120,7 +166,7 @@ class SweepMerger:
         prepared = prepare(sweep, self._config)
         number, self._added = self._added, self._added + 1
         if not len(self):
-            self._keep(prepared, number, guess, np.eye(4) if guess is None else guess, [])
+            self._keep(prepared, number, guess, stamp, np.eye(4) if guess is None else guess, [])
             return PlacedSweep(number, True, "first", "")
         step = self._driven(guess)
         predicted = self._poses[-1] @ (np.eye(4) if step is None else step)
@@ -135,7 +181,7 @@ class SweepMerger:
             edges.append(self._odometry(last, new, step))
         best = max(believed, key=lambda pair: (not pair[1].weak, pair[1].overlap), default=None)
         start = self._poses[-1] @ edges[-1].T if best is None else self._poses[best[0]] @ best[1].T
-        self._keep(prepared, number, guess, start, edges)
+        self._keep(prepared, number, guess, stamp, start, edges)
         if best is None:
             return PlacedSweep(number, True, "odometry", _reasons(named), named)
         if any(not found.weak for _, found in believed):
@@ -180,14 +226,29 @@ class SweepMerger:
             first, second, step, per_metre=self._config.odometry_distance, angle=self._config.odometry_angle
         )
 
-    def _keep(self, sweep: PreparedSweep, number: int, guess: Float | None, pose: Float, edges: list[Edge]) -> None:
+    def _keep(
+        self, sweep: PreparedSweep, number: int, guess: Float | None, stamp: float, pose: Float, edges: list[Edge]
+    ) -> None:
         self._sweeps.append(sweep)
         self._numbers.append(number)
         self._guesses.append(guess)
+        self._stamps.append(stamp)
+        self._revisions.append(-1)
+        self._to_renew[len(self) - 1] = None
         self._poses = np.concatenate([self._poses, pose[None]])
+        self._told = np.concatenate([self._told, pose[None]])
         self._edges += edges
         if edges:
             self._poses = sweep_graph.optimize(self._poses, self._edges)
+            self._mark_moved()
+
+    def _mark_moved(self) -> None:
+        """What lies elsewhere than where it was handed out is handed out anew."""
+        far = np.linalg.norm((self._poses - self._told)[:, :3, 3], axis=1) > self._config.correction_distance
+        # The norm of the difference of two rotations is sqrt(2) times the angle between them, where that is small.
+        turned = np.linalg.norm((self._poses - self._told)[:, :3, :3], axis=(1, 2)) / math.sqrt(2)
+        far |= turned > self._config.correction_angle
+        self._to_renew |= dict.fromkeys(np.flatnonzero(far).tolist())
 
 
 def _reasons(matches: tuple[tuple[int, Match], ...]) -> str:

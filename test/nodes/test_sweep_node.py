@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from g2_recon.config import SimulationConfig
 from g2_recon.geometry import se3
-from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.cloud import ALL_PIECES, Cloud
 from g2_recon.nodes import conversions
 from g2_recon.nodes.sweep_node import SweepNode
 from g2_recon.recording.clouds import read_cloud
@@ -113,6 +113,41 @@ def test_what_was_merged_is_saved_and_forgotten_when_told_to(drive, sweeps, tmp_
     assert read_tum(tmp_path / "poses.tum").stamps.tolist() == [100.0, 101.0]
     assert robot.call(Trigger, "sweep_node/reset").success
     assert "no sweep" in robot.call(Trigger, "sweep_node/save").message
+
+
+def pieces(robot):
+    return [conversions.piece_from_message(cloud) for cloud in robot.clouds]
+
+
+def test_sweeps_that_a_later_one_moves_are_published_anew(drive, sweeps):
+    # However little they are moved.
+    robot = drive(*MOUNTED, "-p", "correction_distance:=0.0")
+    for number, cloud in enumerate([*sweeps, sweeps[0]]):
+        robot.sweep(100.0 + number, cloud)
+    robot.wait_until(lambda: any(piece.number == 1 and piece.revision > 0 for piece in pieces(robot)))
+    assert len({piece.source for piece in pieces(robot)}) == 1
+    assert [piece.number for piece in pieces(robot) if piece.revision == 0] == [0, 1, 2]
+
+
+def test_whoever_comes_late_gets_the_sweeps_before(drive, sweeps):
+    robot = drive()
+    robot.sweep(100.0, sweeps[0])
+    robot.wait_until(lambda: robot.clouds)
+    late = robot.collect(PointCloud2, "cloud")
+    robot.wait_until(lambda: late)
+    piece = conversions.piece_from_message(late[0])
+    assert (piece.number, piece.revision) == (0, 1)
+    assert len(conversions.cloud_from_message(late[0])) == len(sweeps[0])
+
+
+def test_a_reset_takes_the_sweeps_back(drive, sweeps):
+    robot = drive()
+    robot.sweep(100.0, sweeps[0])
+    robot.wait_until(lambda: robot.clouds)
+    assert robot.call(Trigger, "sweep_node/reset").success
+    robot.wait_until(lambda: len(robot.clouds) == 2)
+    assert pieces(robot)[1].number == ALL_PIECES
+    assert pieces(robot)[1].source == pieces(robot)[0].source
 
 
 def test_scans_of_a_tilting_laser_become_sweeps(drive):

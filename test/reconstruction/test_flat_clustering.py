@@ -37,6 +37,14 @@ def sheet(low: tuple[float, float, float], high: tuple[float, float, float], cou
     return np.random.default_rng(seed).uniform(low, high, (count, 3))
 
 
+def scan_line(x: float, sensor: tuple[float, float, float], noise: float = 0.01) -> Cloud:
+    """A vertical scan of the wall y = 0 at that x, its ranges with noise."""
+    points = np.column_stack([np.full(80, x), np.zeros(80), np.linspace(0.1, 2.5, 80)])
+    away = points - sensor
+    away *= 1 + noise * np.random.default_rng(0).normal(size=(80, 1)) / np.linalg.norm(away, axis=1, keepdims=True)
+    return Cloud(away + sensor, np.tile(sensor, (80, 1)))
+
+
 def purity(label: np.ndarray, truth: np.ndarray) -> float:
     """The share of points whose cluster has most of its points on the same true surface; no cluster counts as wrong."""
     table = np.zeros((label.max() + 1, truth.max() + 1))
@@ -52,6 +60,25 @@ def test_each_cluster_of_a_room_lies_on_one_wall(turn: int) -> None:
     clusters = flat_clusters(surface, seed=turn)
     # Points closer to an edge than the noise belong to either wall: 2 cm of 48 m of edges on 94 m^2 are one percent.
     assert purity(clusters.label, face[surface.kept]) > 0.98
+
+
+@pytest.mark.parametrize(("lies_on_it", "turned"), [(True, 0.0), (False, 45.0)])
+def test_a_single_scan_on_the_plane_of_a_wall_nearby_is_of_that_wall(lies_on_it: bool, turned: float) -> None:
+    wall = sheet((0.0, 0.0, 0.0), (3.0, 0.0, 2.5), 4000)
+    wall[:, 1] = 0.01 * np.random.default_rng(1).normal(size=4000)
+    # Seen at 45 deg, so that without the wall it would face there.
+    scan = scan_line(4.2, (2.2, 2.0, 0.6))
+    aside = (0.0, 0.0 if lies_on_it else 0.2, 0.0)
+    cloud = Cloud(
+        np.concatenate([wall, scan.points + aside]),
+        np.concatenate([np.tile((1.5, 2.0, 0.6), (4000, 1)), scan.sensor + aside]),
+    )
+    surface = prepare(cloud)
+    clusters = flat_clusters(surface)
+    of_scan = np.unique(clusters.label[surface.points[:, 0] > 4.0])
+    angles = np.degrees(np.arccos(np.minimum(clusters.normals[of_scan, 1], 1.0)))
+    # The noise of 80 points on a wall of a metre and more turns its plane by less than 2 deg.
+    assert angles == pytest.approx(turned, abs=2.0)
 
 
 @pytest.mark.parametrize("seed", range(5))

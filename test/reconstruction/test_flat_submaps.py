@@ -225,3 +225,15 @@ def test_progress_ends_with_all_clusters() -> None:
         progress=lambda *call: calls.append(call),
     )
     assert calls == [("training", 1, 2), ("training", 2, 2)]
+
+
+@pytest.mark.parametrize("lattice", KINDS)
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_map_of_a_line_is_half_a_cell_wide_and_covered_on_both_sides(lattice: Kind, turned: bool) -> None:
+    rng = np.random.default_rng(0)
+    line = np.column_stack([np.linspace(0, 2, 60), np.zeros(60), 0.01 * rng.normal(size=60)])
+    submaps = map_of(line[:, [1, 0, 2]] if turned else line, lattice)
+    across = submaps.vertices[:, 0 if turned else 1]
+    assert np.sort(np.unique(across.round(6))) == pytest.approx([-0.05, 0.05], abs=1e-6)
+    assert submaps.covered.all()
+    assert submaps.hits.sum() == 60

@@ -248,3 +248,25 @@ def test_a_cloud_that_covers_none_of_its_surface_is_refused():
     points = furnished_room()[0]
     with pytest.raises(InputError, match="no patch of surface that its points cover"):
         reconstruct(Cloud(points), ReconstructionConfig(support_distance=1e-6))
+
+
+def test_scans_far_apart_become_a_strip_each():
+    """Of a robot that turns: vertical scans of a wall 0.9 m apart, seen from one place."""
+    rng = np.random.default_rng(0)
+    sensor = np.array([0.0, 3.0, 0.6])
+    walls = []
+    for x in np.arange(-1.8, 2.0, 0.9):
+        wall = np.column_stack([np.full(60, x), np.zeros(60), np.linspace(0.2, 2.6, 60)])
+        ray = wall - sensor
+        walls.append(wall + 0.01 * rng.normal(size=(60, 1)) * ray / np.linalg.norm(ray, axis=1, keepdims=True))
+    points = np.concatenate(walls)
+    mesh = reconstruct(Cloud(points, np.tile(sensor, (len(points), 1))), ReconstructionConfig()).mesh
+    corners = mesh.vertices[mesh.faces]
+    # On the wall to within three times the noise, and on both sides of each scan by about a quarter of a cell.
+    assert np.abs(corners[..., 1]).max() < 0.03
+    aside = np.abs(corners[..., 0] - 0.9 * np.rint(corners[..., 0] / 0.9))
+    assert np.median(aside) == pytest.approx(0.05, abs=0.005)
+    assert aside.max() < 0.15
+    heights = [corners[np.abs(corners[..., 0] - x).max(axis=1) < 0.2][..., 2] for x in np.arange(-1.8, 2.0, 0.9)]
+    # The ends of a scan may lack a cell.
+    assert all(height.min() < 0.4 and height.max() > 2.4 for height in heights)

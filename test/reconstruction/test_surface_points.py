@@ -51,6 +51,16 @@ def test_normals_are_found_across_wide_gaps_between_scans(between: float) -> Non
     assert np.quantile(surface.normals[:, 1], 0.05) > 0.9
 
 
+def test_the_line_of_a_single_scan_faces_the_sensor() -> None:
+    points = np.column_stack([np.zeros((80, 2)), np.linspace(0.1, 2.5, 80)])
+    # The scan runs across the wall y = 0 at 45 deg, and nothing beside it tells how the wall goes on.
+    sensor = np.tile([2.0, 2.0, 0.6], (80, 1))
+    ray = points - sensor
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    surface = prepare(Cloud(points + 0.01 * np.random.default_rng(0).normal(size=(80, 1)) * ray, sensor))
+    assert surface.normals @ (np.sqrt(0.5), np.sqrt(0.5), 0.0) == pytest.approx(1.0, abs=0.03)
+
+
 def test_points_hang_together_across_wide_gaps_between_scans() -> None:
     surface = prepare(scanned_wall(along=0.03, between=0.4))
     reach = np.abs(surface.points[surface.neighbors, 0] - surface.points[:, None, 0]).max(axis=1)

@@ -46,8 +46,14 @@ _LEAST_FLATNESS_NOISE = 4.5
 _TRIM = 2.5
 _TRIM_ROUNDS = 2
 
-# Points that spread this part as far across a line as along it are a line.
+# Points that spread this part as far across a line as along it are a line, and so are those that spread by this many
+# times the noise across it, all in one plane: in that of a scan ranges spread, and nothing across it.
 _LINE = 0.02
+_LINE_NOISE = 2.0
+_IN_SCAN_NOISE = 0.5
+# Such a line is on the plane of a cluster at most this many patch sizes away that it is this many times the noise off.
+_NEAR_WALL = 3.0
+_ON_WALL_NOISE = 2.0
 
 # A deviation comes from sums of squares: less than this share of the length of a cluster is rounding. Taken for what it
 # seems, all points of a plane without noise could be trimmed off it.
@@ -105,7 +111,7 @@ class _Costs:
 class _Sample:
     """Points (M, 3) with normals (M, 3) and weights (M,); the block (M,) of each, ascending; middles (B, 3) of blocks.
 
-    Points of one block are near each other, at most `reach` (m) from its middle.
+    Points of one block are near each other, at most `reach` (m) from its middle. noise: m, across the surface.
     """
 
     points: Float
@@ -114,6 +120,7 @@ class _Sample:
     block: Int
     middles: Float
     reach: float
+    noise: float
 
     def __len__(self) -> int:
         return len(self.points)
@@ -121,12 +128,13 @@ class _Sample:
 
 @dataclass(frozen=True, slots=True)
 class _Planes:
-    """Centers (K, 3), normals (K, 3), thickness (K,) and weight (K,) of clusters."""
+    """Centers (K, 3), normals (K, 3), thickness (K,) and weight (K,) of clusters, and whether they are lines (K,)."""
 
     centers: Float
     normals: Float
     thickness: Float
     weight: Float
+    line: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.centers)
@@ -166,7 +174,8 @@ def flat_clusters(
         label = _connected(everything.points, surface.neighbors, label, gap)
         planes = _fit(everything, label, pool)
         label = _without_scraps(everything, surface, label, planes, costs, min_area)
-        planes = _trimmed_fit(everything, label, surface.noise, pool)
+        planes = _trimmed_fit(everything, label, pool)
+        planes = _lines_on_planes(everything, label, planes, patch_size)
     return FlatClusters(label, planes.centers + origin, planes.normals, planes.thickness)
 
 
@@ -184,6 +193,7 @@ def _sample(surface: SurfacePoints, origin: Float, rows: Int | slice) -> _Sample
         block=np.repeat(np.arange(len(first)), count),
         middles=middles,
         reach=surface.voxel * 2**_BLOCK_LEVEL * np.sqrt(3),
+        noise=surface.noise,
     )
 
 
@@ -215,7 +225,7 @@ def _seeded(sample: _Sample, costs: _Costs, clusters: float, seed: int, pool: Th
         block=sample.block[rows],
     )
     start = ((np.arange(count) + rng.random(count)) * len(part) / count).astype(np.int64)
-    planes = _Planes(part.points[start], part.normals[start], np.zeros(count), np.ones(count))
+    planes = _Planes(part.points[start], part.normals[start], np.zeros(count), np.ones(count), np.zeros(count, bool))
     compact = replace(costs, height=0.0)
     for _ in range(_SEED_ITERATIONS):
         planes = _fit(part, _assign(part, planes, compact, pool), pool)
@@ -442,7 +452,7 @@ def _adopting(  # type: ignore[no-untyped-def]
 def _fit(sample: _Sample, label: Int, pool: ThreadPoolExecutor) -> _Planes:
     """Planes of the clusters 0 to K - 1; those without points are left out, points with label -1 count for none."""
     anchor = _anchors(sample.points, label, int(label.max()) + 1)
-    return _planes(_moments(sample, label, anchor, None, pool), anchor)
+    return _planes(_moments(sample, label, anchor, None, pool), anchor, sample.noise)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -456,13 +466,36 @@ def _anchors(points, label, count):  # type: ignore[no-untyped-def]
     return anchor
 
 
-def _trimmed_fit(sample: _Sample, label: Int, noise: float, pool: ThreadPoolExecutor) -> _Planes:
+def _trimmed_fit(sample: _Sample, label: Int, pool: ThreadPoolExecutor) -> _Planes:
     """Planes of the clusters without the points that are 2.5 standard deviations off them, found in two rounds."""
     planes = _fit(sample, label, pool)
     for _ in range(_TRIM_ROUNDS):
-        limit = _TRIM * np.maximum(planes.thickness, noise)
-        planes = _planes(_moments(sample, label, planes.centers, (planes.normals, limit), pool), planes.centers)
+        limit = _TRIM * np.maximum(planes.thickness, sample.noise)
+        moments = _moments(sample, label, planes.centers, (planes.normals, limit), pool)
+        planes = _planes(moments, planes.centers, sample.noise)
     return planes
+
+
+def _lines_on_planes(sample: _Sample, label: Int, planes: _Planes, patch_size: float) -> _Planes:
+    """The planes; those of lines, which have none of their own, turned to that of a cluster nearby that they lie on.
+
+    A wall goes on beyond where scans are dense: a line on the plane of one is of that wall. patch_size: m.
+    """
+    lines, walls = np.flatnonzero(planes.line), np.flatnonzero(~planes.line)
+    rows = np.flatnonzero((label >= 0) & planes.line[label])
+    rows = rows[np.argsort(label[rows], kind="stable")]
+    begin = np.searchsorted(label[rows], [*lines, len(planes)])
+    normals = planes.normals.copy()
+    for k, first, last in zip(lines, begin[:-1], begin[1:], strict=True):
+        near = walls[np.linalg.norm(planes.centers[walls] - planes.centers[k], axis=1) < _NEAR_WALL * patch_size]
+        near = near[planes.normals[near] @ planes.normals[k] > 0]
+        across = np.einsum("ki,ki->k", planes.centers[near], planes.normals[near])
+        off = np.sqrt(
+            np.mean((planes.normals[near] @ sample.points[rows[first:last]].T - across[:, None]) ** 2, axis=1)
+        )
+        if len(near) and off.min() < _ON_WALL_NOISE * sample.noise:
+            normals[k] = planes.normals[near[np.argmin(off)]]
+    return replace(planes, normals=normals)
 
 
 def _moments(
@@ -522,7 +555,7 @@ def _accumulate(points, normals, weights, label, anchor, planes, limit, sums):  
         row[12] += w * normals[i, 2]
 
 
-def _planes(moments: Float, anchor: Float) -> _Planes:
+def _planes(moments: Float, anchor: Float, noise: float) -> _Planes:
     """Planes from the sums (K, 13) of clusters, without clusters of no weight."""
     used = moments[:, 0] > 0
     moments, anchor = moments[used], anchor[used]
@@ -534,8 +567,9 @@ def _planes(moments: Float, anchor: Float) -> _Planes:
     normals = np.where(np.einsum("ij,ij->i", axes[:, :, 0], facing)[:, None] < 0, -axes[:, :, 0], axes[:, :, 0])
     # Points that spread along a line, or coincide, have no plane of their own: they lie as their normals say.
     length = np.linalg.norm(facing, axis=1)
-    line = (square[:, 1] <= _LINE**2 * square[:, 2]) & (length > 0)
+    scan = (square[:, 0] <= (_IN_SCAN_NOISE * noise) ** 2) & (square[:, 1] <= (_LINE_NOISE * noise) ** 2)
+    line = ((square[:, 1] <= _LINE**2 * square[:, 2]) | scan) & (length > 0)
     normals[line] = facing[line] / length[line, None]
     variance = np.einsum("ij,ijk,ik->i", normals, scatter, normals)
     thickness = np.sqrt(np.maximum(variance, _ROUNDING**2 * square[:, 2]))
-    return _Planes(anchor + mean, normals, thickness, weight)
+    return _Planes(anchor + mean, normals, thickness, weight, line)
