@@ -19,6 +19,7 @@ from g2_recon.reconstruction.creases import insert_creases
 from g2_recon.reconstruction.fitting import fit_to_points
 from g2_recon.reconstruction.flat_submaps import FlatSubmaps
 from g2_recon.reconstruction.mesh_repair import (
+    bridge_pinches,
     extend_borders,
     fill_small_loops,
     large_pieces,
@@ -40,6 +41,9 @@ _FARTHEST_EXTENSION = 0.9
 _FARTHEST_FIT = 0.25
 # A piece of less than this many cells is no surface that one would see.
 _LEAST_PIECE = 0.5
+# Holes of at most so many edges are closed: eight, a cell and what is around it, until creases and the ends of the data
+# have their vertices, as a lid over a corner of the room would cut that off. Strips half a cell wide have more of them.
+_JOINED_HOLE, _FINISHED_HOLE = 8, 16
 # Coordinates are whole multiples of this share of the spacing, a micrometre at 20 cm: faces of one wall would else be
 # coplanar to the last bit, which exact tests of other tools take for overlap.
 _GRAIN = 5e-6
@@ -168,7 +172,8 @@ def join(neurons: Neurons, sound: Int, data: Data, config: ReconstructionConfig)
         support_distance=data.near,
     )
     faces = np.concatenate([sound, joins])
-    faces = _filled(Sheet(neurons.places, faces, neurons.submap[faces[:, 0]]), data).faces
+    joined = Sheet(neurons.places, faces, neurons.submap[faces[:, 0]])
+    faces = _filled(joined, data, max_edges=_JOINED_HOLE).faces
     return Sheet(neurons.places, faces, neurons.submap[faces[:, 0]])
 
 
@@ -210,17 +215,26 @@ def extend(sheet: Sheet, home: Sheet, neurons: Neurons, data: Data, config: Reco
 def finish(sheet: Sheet, data: Data, config: ReconstructionConfig) -> Mesh:
     """The mesh with small holes closed, one fan of faces a vertex, and without scraps."""
     grain = _GRAIN * config.spacing
+    sheet = _with(sheet, bridge_pinches(sheet.vertices, sheet.faces, data.grid, support_distance=data.near))
     # Only where no two fans share a vertex has each hole a border of its own.
     vertices, faces, _ = split_pinched(sheet.vertices, sheet.faces)
-    sheet = _parted(_filled(Sheet(vertices, faces, sheet.submap), data), grain, data.workers)
+    sheet = _filled(Sheet(vertices, faces, sheet.submap), data, max_edges=_FINISHED_HOLE)
+    sheet = _parted(sheet, grain, data.workers)
     large = large_pieces(sheet.vertices, sheet.faces, least_area=_LEAST_PIECE * config.spacing**2)
     used, number = np.unique(sheet.faces[large], return_inverse=True)
     return Mesh(sheet.vertices[used], number.reshape(-1, 3).astype(np.int64), sheet.submap[large])
 
 
-def _filled(sheet: Sheet, data: Data) -> Sheet:
-    """The sheet with small holes closed where there is data; a new face takes the submap of a neighbor."""
-    new = fill_small_loops(sheet.vertices, sheet.faces, data.grid, support_distance=data.near)
+def _filled(sheet: Sheet, data: Data, *, max_edges: int) -> Sheet:
+    """The sheet with holes of so many edges closed where there is data."""
+    return _with(
+        sheet,
+        fill_small_loops(sheet.vertices, sheet.faces, data.grid, support_distance=data.near, max_edges=max_edges),
+    )
+
+
+def _with(sheet: Sheet, new: Int) -> Sheet:
+    """The sheet with new faces (T, 3); each takes the submap of a neighbor."""
     beside = np.zeros(len(sheet.vertices), np.int64)
     beside[sheet.faces] = sheet.submap[:, None]
     return Sheet(sheet.vertices, np.concatenate([sheet.faces, new]), np.concatenate([sheet.submap, beside[new[:, 0]]]))

@@ -34,6 +34,12 @@ _FARTHEST_BEYOND = 0.35
 _LEAST_AGREEMENT = 0.2
 _SMALL_PIECE = 32
 
+# A fold has no more edges; what closes a hole with more of them faces as its surroundings do.
+_FEW_EDGES = 8
+
+# Twice the area of a triangle over the square of its longest side; below it is a needle.
+_LEAST_SHAPE = 0.05
+
 # How much of its way from home a vertex keeps, round by round, while one of its faces crosses another one.
 _KEPT_OF_WAY = (0.5, 0.5, 0.5, 0.0, 0.0)
 
@@ -109,6 +115,67 @@ def _fan_middles(vertices: Float, faces: Int) -> Float:
     count = np.bincount(faces.ravel(), minlength=len(vertices))
     total = _sums(faces.ravel(), middle, len(vertices))
     return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], vertices)
+
+
+def bridge_pinches(vertices: Float, faces: Int, grid: PointGrid, *, support_distance: float) -> Int:
+    """Triangles (T, 3) that join pieces of the mesh which touch in no more than a vertex, one for two pieces.
+
+    Without it the pieces come apart where pinches are split. A triangle lies between two border edges at the vertex,
+    one of each piece. It has data within `support_distance` (m), agrees with the normals at its corners, leaves the
+    mesh manifold and oriented, and crosses no face. Those with short sides go first.
+    """
+    triangles, joined = _between_pieces(vertices, faces)
+    sides = np.linalg.norm(vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)], axis=2).max(axis=1)
+    area = area_vectors(vertices, triangles)
+    agreement = np.einsum("tki,ti->tk", vertex_normals(vertices, faces)[triangles], unit(area)).min(axis=1)
+    good = (agreement > _LEAST_AGREEMENT) & (np.linalg.norm(area, axis=1) > _LEAST_SHAPE * sides**2)
+    half_edges = _half_edges(triangles) @ [len(vertices), 1]
+    good &= ~np.isin(half_edges, _half_edges(faces) @ [len(vertices), 1]).any(axis=1)
+    good &= supported(vertices, triangles, grid, support_distance)
+    rows = np.flatnonzero(good)
+    rows = rows[np.lexsort((*triangles[rows].T, sides[rows]))]
+    triangles, joined, half_edges = triangles[rows], joined[rows], half_edges[rows]
+    mesh = np.concatenate([faces, triangles])
+    pairs = crossing_pairs(vertices, mesh, among=np.arange(len(mesh)) >= len(faces)) - len(faces)
+    return triangles[_linking(joined, half_edges, pairs)]
+
+
+def _linking(joined: Int, half_edges: Int, crossing: Int) -> Mask:
+    """Mask (T,) of the triangles to take, one after the other, each for two pieces (T, 2) that are not linked yet.
+
+    half_edges: (T, 3) as numbers; none is taken twice. crossing: (P, 2) triangles that cross, below 0 for a face.
+    """
+    taken: set[int] = set()
+    chosen = np.zeros(len(joined), bool)
+    crossed: list[set[int]] = [set() for _ in joined]
+    for one, other in crossing.tolist():
+        crossed[max(one, other)].add(min(one, other))
+    group = np.arange(joined.max(initial=-1) + 1)
+    for number, (pieces, own) in enumerate(zip(joined, half_edges.tolist(), strict=True)):
+        one, other = group[pieces]
+        blocked = any(earlier < 0 or chosen[earlier] for earlier in crossed[number])
+        if one != other and not blocked and taken.isdisjoint(own):
+            chosen[number] = True
+            taken.update(own)
+            group[group == other] = one
+    return chosen
+
+
+def _between_pieces(vertices: Float, faces: Int) -> tuple[Int, Int]:
+    """Triangles (T, 3) between border edges of two pieces at one vertex, and the two pieces (T, 2)."""
+    one, other = _neighbors_at_edges(edges_of(faces, len(vertices))[1])
+    piece, _ = _linked(one // 3, other // 3, len(faces))
+    is_border = is_open(faces, len(vertices))
+    border, own = _half_edges(faces)[is_border], piece[np.nonzero(is_border)[0]]
+    order = np.argsort(border[:, 0], kind="stable")
+    first, last = (np.searchsorted(border[order, 0], border[:, 1], side=side) for side in ("left", "right"))
+    arriving = np.repeat(np.arange(len(border)), last - first)
+    place = np.arange(len(arriving)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
+    leaving = order[first[arriving] + place]
+    apart = (own[arriving] != own[leaving]) & (border[arriving, 0] != border[leaving, 1])
+    arriving, leaving = arriving[apart], leaving[apart]
+    triangles = np.column_stack([border[leaving, 1], border[arriving, 1], border[arriving, 0]])
+    return triangles, np.column_stack([own[arriving], own[leaving]])
 
 
 def border_half_edges(faces: Int, count: int) -> Int:
@@ -303,7 +370,7 @@ def fill_small_loops(
     agreement = _agreement(vertices, triangles, loop, len(loops), normals)
     accepted &= (np.abs(agreement) > _LEAST_AGREEMENT) | (size == 3)
     # What lies on the back of its surroundings closes a fold there; around a piece hardly larger it would be its back.
-    accepted &= (agreement > 0) | ~_around_small_pieces(vertices, faces, loops)
+    accepted &= (agreement > 0) | ((size <= _FEW_EDGES) & ~_around_small_pieces(vertices, faces, loops))
     accepted &= _keeps_manifold(faces, triangles, loop, size, accepted, len(vertices))
     while True:
         chosen = accepted[loop]

@@ -14,6 +14,7 @@ from g2_recon.reconstruction.mesh_repair import (
     _next_along,
     _take_half_edges,
     border_half_edges,
+    bridge_pinches,
     extend_borders,
     fill_small_loops,
     large_pieces,
@@ -109,6 +110,63 @@ class TestPinchedVertices:
         assert not len(crossing_pairs(placed, split))
 
 
+def pieces(faces):
+    """How many pieces hang together by edges."""
+    edges = np.sort(half_edges(faces), axis=1)
+    _, edge = np.unique(edges, axis=0, return_inverse=True)
+    # Faces and edges are the nodes, a link for each side.
+    face = np.repeat(np.arange(len(faces)), 3)
+    size = len(faces) + edge.max() + 1
+    links = coo_array((np.ones(len(face)), (face, len(faces) + edge.ravel())), shape=(size, size))
+    return connected_components(links, directed=False)[0]
+
+
+class TestPiecesThatTouch:
+    def bridge(self, vertices, faces, points=None):
+        grid = point_grid(vertices if points is None else points, cell=0.1)
+        return bridge_pinches(vertices, faces, grid, support_distance=0.2)
+
+    def test_two_pieces_at_a_vertex_become_one_by_one_triangle(self):
+        vertices, faces = two_triangles_at_a_point()
+        new = self.bridge(0.2 * vertices, faces)
+        assert len(new) == 1
+        whole = np.concatenate([faces, new])
+        assert is_oriented_manifold(whole)
+        assert pieces(whole) == 1
+        assert set(fans_per_vertex(whole).values()) == {1}
+
+    def test_without_data_they_stay_apart(self):
+        vertices, faces = two_triangles_at_a_point()
+        assert not len(self.bridge(0.2 * vertices, faces, 0.2 * vertices + (0, 0, 1)))
+
+    def test_pieces_that_face_opposite_ways_stay_apart(self):
+        vertices, faces = two_triangles_at_a_point()
+        faces[1] = faces[1, ::-1]
+        assert not len(self.bridge(0.2 * vertices, faces))
+
+    def test_a_pinch_within_one_piece_is_left_alone(self):
+        vertices, faces = sheet()
+        at_14 = [face for face in faces.tolist() if 14 in face]
+        kept = [at_14[0], next(face for face in at_14 if not set(face) & (set(at_14[0]) - {14}))]
+        faces = np.array([face for face in faces.tolist() if 14 not in face or face in kept])
+        assert pieces(faces) == 1
+        assert fans_per_vertex(faces)[14] == 2
+        assert not len(self.bridge(vertices, faces))
+
+    @settings(max_examples=40, deadline=None, derandomize=True)
+    @given(st.integers(0, 2**32 - 1))
+    def test_each_triangle_makes_one_of_two_pieces_or_more_and_crosses_none(self, seed):
+        vertices, faces = sheet()
+        rng = np.random.default_rng(seed)
+        faces = faces[rng.random(len(faces)) < rng.uniform(0.1, 0.6)]
+        new = self.bridge(vertices, faces)
+        whole = np.concatenate([faces, new])
+        assert is_oriented_manifold(whole)
+        # The third side of a triangle may be the border of another piece.
+        assert pieces(whole) <= pieces(faces) - len(new)
+        assert not len(crossing_pairs(vertices, whole))
+
+
 class TestSmallLoops:
     def fill(self, vertices, faces, points=None, **options):
         grid = point_grid(vertices if points is None else points, cell=0.1)
@@ -141,6 +199,25 @@ class TestSmallLoops:
     def test_a_face_alone_gets_no_back(self):
         vertices = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0.0]])
         assert len(self.fill(vertices, np.array([[0, 1, 2]]))) == 0
+
+    def test_a_bulge_with_many_edges_around_it_gets_no_back(self):
+        def ring(count, radius, height):
+            angle = np.arange(count) * 2 * np.pi / count
+            return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, height)])
+
+        vertices = np.concatenate([ring(16, 0.4, 0.0), ring(8, 0.2, 0.1), [[0, 0, 0.15]]])
+        faces = [
+            triangle
+            for i, j in zip(range(8), [*range(1, 8), 0], strict=True)
+            for triangle in (
+                [2 * i, 2 * i + 1, 16 + i],
+                [2 * i + 1, 2 * j, 16 + j],
+                [2 * i + 1, 16 + j, 16 + i],
+                [16 + i, 16 + j, 24],
+            )
+        ]
+        on_the_back = np.concatenate([ring(16, radius, 0.0) for radius in (0.0, 0.1, 0.2, 0.3, 0.4)])
+        assert len(self.fill(vertices, np.array(faces), on_the_back, max_edges=16)) == 0
 
     def test_the_end_of_a_column_gets_no_lid(self):
         angle = np.arange(6) * np.pi / 3
