@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path as FilePath
 from time import monotonic
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -194,6 +194,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         lost = isinstance(self._localizer, (MapLocalizer, ResumedLocalizer)) and not self._localizer.is_placed
         return "looking for the place of the robot in the loaded map: drive, or give an initialpose" if lost else ""
 
+    def _makes_map(self, localizer: AnyLocalizer) -> TypeGuard[Localizer]:
+        """Whether others are told of its keyframes: not in a map that stays as it is, nor before its place is known."""
+        maps = isinstance(localizer, Localizer) and not isinstance(localizer, MapLocalizer)
+        return maps and not self._waiting_for_place()
+
     def figures(self) -> dict[str, object]:
         """See StageNode."""
         localizer, latest = self._localizer, self._latest
@@ -293,7 +298,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self._map_changed = False
             self._trajectory_publisher.publish(conversions.path_message(head, keyframes))
             self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
-        if isinstance(self._localizer, Localizer):
+        if self._makes_map(self._localizer):
             self._keyframe_sender.tell(self._localizer, self.settings.map_frame)
         poses = keyframes.planar()
         if not self._grid.is_current(poses) and self._counted(self._grid, poses):
