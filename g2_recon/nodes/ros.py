@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from types import FrameType
 from typing import Any, NoReturn
@@ -120,7 +120,9 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threa
             executor.shutdown(timeout_sec=1.0)
         for node in nodes:
             node.destroy_node()
-        rclpy.try_shutdown()
+        # What rclpy does on a signal may shut down at the very same moment; one of the two comes too late then.
+        with suppress(RuntimeError):
+            rclpy.try_shutdown()
     return 0
 
 
