@@ -456,6 +456,11 @@ class Localizer:
         """T_map_base of every scan as it was known when the scan came; empty if scans are not kept."""
         return Trajectory.from_se2(self._stamps[: len(self._causal)], np.reshape(self._causal, (-1, 3)))
 
+    @property
+    def keyframe_count(self) -> int:
+        """How many scans were added to the map."""
+        return len(self._keyframes)
+
     def keyframes(self) -> Trajectory:
         """T_map_base of the scans that were added to the map."""
         poses = se2.compose(self._keyframes.poses, self._T_laser_base)

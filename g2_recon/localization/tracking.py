@@ -175,12 +175,13 @@ class Tracker:
             others = chain([first], others)
         tried = [best.pose]
         for predicted, uncertainty in others:
-            start = self._start(beams, compose(last, predicted), without=step is None)
+            expected = compose(last, predicted)
+            start = self._start(beams, expected, without=step is None)
             if not any(_near(start, known, _SAME_START) for known in tried):
                 if step is None:
                     other = self._lay(beams, start, _FOUND_SIGMA)
                 else:
-                    other = self._lay(beams, start, uncertainty, compose(last, predicted))
+                    other = self._lay(beams, start, uncertainty, expected)
                 tried += [start, other.pose]
                 if other.quality > best.quality + margin or _fits_better(other, best):
                     best = other

@@ -61,7 +61,7 @@ class KeyframeSender:
     def _part(self, first: int, *, with_poses: bool = False) -> SessionPart | None:
         """The keyframes from a number on, as many as fit in a message; None where there is no map."""
         localizer = self._localizer
-        if localizer is None or not (count := len(localizer.keyframes())):
+        if localizer is None or not (count := localizer.keyframe_count):
             return None
         if self._number is None:
             whole = localizer.growth(0, sys.maxsize)

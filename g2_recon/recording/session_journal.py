@@ -20,9 +20,7 @@ from g2_recon.recording.sessions import MOST_BYTES
 Arrays = dict[str, NDArray[Any]]
 
 _KEYFRAMES, _POSES, _GRAPH, _SCANS, _LAST = 1, 2, 3, 4, 5
-_OF_KEYFRAMES: Layout = {
-    "stamps": ("<f8", ("K",)),
-    "poses": ("<f8", ("K", 3)),
+OF_SCANS: Layout = {
     "points": ("<f4", ("K", "B", 2)),
     "normals": ("<f4", ("K", "B", 2)),
     "kinds": ("|u1", ("K", "B")),
@@ -32,14 +30,20 @@ _OF_KEYFRAMES: Layout = {
     "wheel_steps": ("<f8", ("K", 3)),
     "broken": ("|u1", ("K",)),
 }
+"""What does not change of K keyframes any more, but for their stamps; see Session."""
+
+OF_GRAPH: Layout = {
+    "local_maps": ("<i8", ("C",)),
+    "loops": ("<i8", ("L", 2)),
+    "loop_information": ("<f8", ("L", 3, 3)),
+}
+"""Local maps and loops; see Session."""
+
+_OF_KEYFRAMES: Layout = {"stamps": ("<f8", ("K",)), "poses": ("<f8", ("K", 3)), **OF_SCANS}
 _LAYOUTS: dict[int, Layout] = {
     _KEYFRAMES: {"first": ("<i8", (1,)), **_OF_KEYFRAMES},
     _POSES: {"first": ("<i8", (1,)), "poses": ("<f8", ("K", 3))},
-    _GRAPH: {
-        "local_maps": ("<i8", ("C",)),
-        "loops": ("<i8", ("L", 2)),
-        "loop_information": ("<f8", ("L", 3, 3)),
-    },
+    _GRAPH: OF_GRAPH,
     _SCANS: {"stamps": ("<f8", ("S",)), "owners": ("<i8", ("S",)), "offsets": ("<f8", ("S", 3))},
     _LAST: {"stamp": ("<f8", (1,)), "pose": ("<f8", (3,)), "odometry": ("<f8", (3,))},
 }

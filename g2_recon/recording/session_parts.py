@@ -12,6 +12,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry.session import SessionPart
 from g2_recon.recording.npz import Layout
 from g2_recon.recording.records import pack, unpack
+from g2_recon.recording.session_journal import OF_GRAPH, OF_SCANS
 
 _VERSION = 1
 _NUMBERS = ("number", "count", "revision", "first")
@@ -20,17 +21,8 @@ _LAYOUT: Layout = {
     "last_stamp": ("<f8", (1,)),
     "poses": ("<f8", ("N", 3)),
     "stamps": ("<f8", ("K",)),
-    "points": ("<f4", ("K", "B", 2)),
-    "normals": ("<f4", ("K", "B", 2)),
-    "kinds": ("|u1", ("K", "B")),
-    "firsts": ("<f8", ("K",)),
-    "increments": ("<f8", ("K",)),
-    "ways": ("<f8", ("K",)),
-    "wheel_steps": ("<f8", ("K", 3)),
-    "broken": ("|u1", ("K",)),
-    "local_maps": ("<i8", ("C",)),
-    "loops": ("<i8", ("L", 2)),
-    "loop_information": ("<f8", ("L", 3, 3)),
+    **OF_SCANS,
+    **OF_GRAPH,
 }
 
 

@@ -94,9 +94,7 @@ class Ros:
             time.sleep(0.005)
 
 
-@pytest.fixture
-def ros() -> Iterator[Callable[..., Ros]]:
-    """`ros(*arguments)` starts ROS for one test, with command line arguments as after --ros-args."""
+def _starts() -> Iterator[Callable[..., Ros]]:
     with ExitStack() as ends:
 
         def start(*arguments: str) -> Ros:
@@ -105,6 +103,12 @@ def ros() -> Iterator[Callable[..., Ros]]:
             return started
 
         yield start
+
+
+@pytest.fixture
+def ros() -> Iterator[Callable[..., Ros]]:
+    """`ros(*arguments)` starts ROS for one test, with command line arguments as after --ros-args."""
+    yield from _starts()
 
 
 @pytest.fixture(scope="module")
@@ -118,14 +122,7 @@ def module_ros() -> Iterator[Ros]:
 @pytest.fixture(scope="module")
 def module_ros_with() -> Iterator[Callable[..., Ros]]:
     """The same, started by the module with arguments of its own."""
-    with ExitStack() as ends:
-
-        def start(*arguments: str) -> Ros:
-            started = Ros(*arguments)
-            ends.callback(started.close)
-            return started
-
-        yield start
+    yield from _starts()
 
 
 @pytest.fixture
