@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
@@ -144,6 +145,29 @@ class PoseBuffer:
         self.drop_before(np.inf)
         if self._stamps:
             self.drop_at(0)
+
+    def leads_to(self, stamp: float, longest: float) -> bool:
+        """Whether `ahead` tells where the body is at a time."""
+        end = bisect_right(self._stamps, stamp)
+        if end < 2:
+            return False
+        before, last = self._stamps[end - 2 : end]
+        return stamp - last <= min(last - before, longest)
+
+    def ahead(self, stamp: float, longest: float) -> NDArray[np.float64] | None:
+        """The transform (4, 4) at a time after a pose, if the body goes on from there as it came from the one before.
+
+        None where the next pose must be there before that, as the last two are no farther apart, and where the time is
+        more than `longest` s after the last. Poses after `stamp` make no difference.
+        """
+        if not self.leads_to(stamp, longest):
+            return None
+        end = bisect_right(self._stamps, stamp)
+        share = (stamp - self._stamps[end - 1]) / (self._stamps[end - 1] - self._stamps[end - 2])
+        (p, q), (before, turned) = ((self._positions[k], self._quaternions[k]) for k in (end - 1, end - 2))
+        # On a straight line: over so short a time, the way and the turn bend by less than what odometry can tell.
+        quaternion = q + share * (q - math.copysign(1.0, q @ turned) * turned)
+        return se3.from_quaternion(p + share * (p - before), quaternion / np.linalg.norm(quaternion))
 
     def interpolate(
         self, stamps: ArrayLike, *, max_gap: float = np.inf

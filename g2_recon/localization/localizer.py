@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -468,8 +470,13 @@ class Localizer:
 
     def point_map(self) -> Float:
         """The points (N, 2) of the map, thinned to `map_spacing`."""
-        points, _, kinds, _, _ = self._keyframes.arrays
-        return map_of_keyframes(self._keyframes.poses, points, kinds, self._config.map_spacing)
+        return self.later_point_map()()
+
+    def later_point_map(self) -> Callable[[], Float]:
+        """The point map of now, for whoever wants to make it later, in another thread."""
+        keyframes = self._keyframes.snapshot()
+        points, _, kinds, _, _ = keyframes.arrays
+        return partial(map_of_keyframes, keyframes.poses, points, kinds, self._config.map_spacing)
 
 
 def _velocity(step: Float, elapsed: float) -> Float:

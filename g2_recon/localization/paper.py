@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -102,6 +104,11 @@ class PaperLocalizer:
     def point_map(self) -> Float:
         """The points (N, 2) of the map."""
         return self._map.points.copy()
+
+    def later_point_map(self) -> Callable[[], Float]:
+        """The point map of now, for whoever wants it later, in another thread."""
+        points = self.point_map()
+        return lambda: points
 
     def _points_in_base(self, scan: Scan) -> Float:
         """Points (M, 2) of the scan in the robot frame, projected to the floor."""

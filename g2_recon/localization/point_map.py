@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from g2_recon.geometry import se2
-
 Float = NDArray[np.float64]
 
 
@@ -79,6 +77,8 @@ def map_of_keyframes(poses: Float, points: NDArray[np.float32], kinds: NDArray[n
 
     A beam of kind 0 is no measurement.
     """
-    scans = [se2.transform_points(poses[k], points[k][kinds[k] > 0]) for k in range(len(poses))]
-    cloud = np.concatenate([np.empty((0, 2)), *scans])
+    keyframe, beam = np.nonzero(kinds)
+    x, y = points[keyframe, beam].T.astype(float)
+    at_x, at_y, cos, sin = (each[keyframe] for each in (*poses[:, :2].T, np.cos(poses[:, 2]), np.sin(poses[:, 2])))
+    cloud = np.column_stack([at_x + cos * x - sin * y, at_y + sin * x + cos * y])
     return cloud[first_in_each_cell(cloud, spacing)]

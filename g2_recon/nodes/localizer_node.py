@@ -15,17 +15,14 @@ from typing import NamedTuple, TypeGuard
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid as GridMessage
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from sensor_msgs.msg import LaserScan, PointCloud2
+from sensor_msgs.msg import LaserScan
 
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
-from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import PoseBuffer
-from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.localized_scan import LocalizedScan
 from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.map_localizer import MapLocalizer
@@ -35,8 +32,9 @@ from g2_recon.localization.wheel_check import WheelCheck
 from g2_recon.nodes import conversions
 from g2_recon.nodes.keyframes import KeyframeSender
 from g2_recon.nodes.localizer_journal import LocalizerJournal
+from g2_recon.nodes.map_publisher import MapPublisher, flat_cloud
 from g2_recon.nodes.parameters import LocalizerParameters
-from g2_recon.nodes.ros import LATCHED, Transforms, reliable_qos, run, sensor_qos
+from g2_recon.nodes.ros import Transforms, reliable_qos, run, sensor_qos
 from g2_recon.nodes.stage_node import JumpDetector, LaserMount, StageNode, session_folder
 from g2_recon.recording.clouds import write_cloud
 from g2_recon.recording.occupancy_maps import write_map
@@ -45,12 +43,11 @@ from g2_recon.recording.trajectories import write_tum
 
 # Odometry with a longer gap says nothing about a time inside it.
 _MAX_ODOMETRY_GAP_S = 1.0
+# So long odometry is thought to go on as before, rather than to wait for the next: at 1 m/s^2 it errs by 5 mm then.
+_LONGEST_LEAD_S = 0.1
 # Wall time that queued odometry gets to come in before a scan goes on without it, and the same where no newer scan
 # tells how much time has passed: at the end of a recording.
 _GRACE_S, _LONGEST_GRACE_S = 0.05, 1.0
-# Wall time a second for the occupancy grid, so that scans do not wait while a closed loop makes it count anew; it looks
-# at the time after so many keyframes.
-_GRID_S, _GRID_KEYFRAMES = 0.1, 16
 # So many of the last scans tell how well they match; what is wrong if fewer than this share do, or if more than this
 # share of the way contradicts the wheels.
 _LAST_SCANS, _FEWEST_SCANS = 200, 50
@@ -77,7 +74,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._transforms = Transforms(self)
         self._mount = LaserMount(self, self.settings.laser_pose, self.settings.base_frame, self._transforms)
         self._localizer: AnyLocalizer | None = None
-        self._grid: KeyframeGrid | None = None
+        self._maps = MapPublisher(self)
         self._start: NDArray[np.float64] | None = None
         self._loaded = read_session(FilePath(self.settings.map).expanduser()) if self.settings.map else None
         self._session = self._loaded
@@ -88,7 +85,6 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._jumps = JumpDetector()
         self._newest_scan = -np.inf
         self._last_stamp = Time()
-        self._map_changed = False
         self._localized = 0
         self._latest: LocalizedScan | None = None
         self._matched: deque[bool] = deque(maxlen=_LAST_SCANS)
@@ -125,8 +121,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self._localizer.reset(self._start)
         if isinstance(self._localizer, Localizer):
             self._take_up(self._localizer)
-        self._grid = KeyframeGrid(self.settings, T_base_laser)
-        self._empty_grid()
+        self._maps.begin(T_base_laser, self._session)
 
     def _take_up(self, localizer: Localizer) -> None:
         try:
@@ -138,9 +133,6 @@ class LocalizerNode(StageNode[LocalizerParameters]):
     def _connect(self) -> None:
         depth = self.settings.queue_depth
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "pose", reliable_qos(depth))
-        self._trajectory_publisher = self.create_publisher(Path, "trajectory", LATCHED)
-        self._map_publisher = self.create_publisher(PointCloud2, "point_map", LATCHED)
-        self._grid_publisher = self.create_publisher(GridMessage, "map", LATCHED)
         self._keyframe_sender = KeyframeSender(self)
         self.offer_trigger("~/reset", self._reset_on_request)
         self.offer_trigger("~/save", self._save)
@@ -151,6 +143,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         if self.settings.use_odometry:
             self.listen(Odometry, "odom", self._on_odometry, sensor_qos(depth))
         self.listen(LaserScan, "scan", self._on_scan, sensor_qos(depth))
+
+    def destroy_node(self) -> None:
+        """End the thread beside first: it works with what the node has."""
+        self._maps.close()
+        super().destroy_node()
 
     def waiting_for(self) -> str:
         """See StageNode."""
@@ -252,12 +249,14 @@ class LocalizerNode(StageNode[LocalizerParameters]):
     def _odometry_may_come(self, waiting: _WaitingScan) -> bool:
         if not len(self._odometry) or waiting.scan.stamp <= self._odometry.last_stamp:
             return False
+        if not self._bridging and self._odometry.leads_to(waiting.scan.stamp, _LONGEST_LEAD_S):
+            return False
         overdue = self._newest_scan - self._odometry.last_stamp > self.settings.odometry_wait
         brief = overdue and not self._bridging
         return monotonic() - waiting.received_at < (_GRACE_S if brief else _LONGEST_GRACE_S)
 
     def _localize(self, scan: Scan, stamp: Time) -> None:
-        assert self._localizer is not None and self._grid is not None
+        assert self._localizer is not None
         T_odom_base = self._look_up_odometry(scan.stamp)
         odometry = None if T_odom_base is None else se2.from_se3(T_odom_base)
         result = self._localizer.process(scan, odometry)
@@ -266,20 +265,27 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._matched.append(result.matched)
         self._wheel_check.add(result.pose, odometry)
         if result.keyframe:
-            self._grid.add(scan)
-            self._map_changed = True
+            self._maps.add(scan)
         if isinstance(self._localizer, Localizer):
             self._journal.write(self._localizer)
         self._last_stamp = stamp
         self._publish_pose(result, stamp, T_odom_base)
 
     def _look_up_odometry(self, stamp: float) -> NDArray[np.float64] | None:
-        """T_odom_base (4, 4) at the time of a scan, None where unknown."""
-        poses, known = self._odometry.interpolate([stamp], max_gap=_SOON_S if self._bridging else _MAX_ODOMETRY_GAP_S)
+        """T_odom_base (4, 4) at the time of a scan, None where unknown.
+
+        Where the last odometry before the scan leads on to it, that the next one has come, too, makes no difference:
+        what becomes of a scan must not hang on how long messages take.
+        """
+        T_odom_base = None if self._bridging else self._odometry.ahead(stamp, _LONGEST_LEAD_S)
+        if T_odom_base is None:
+            max_gap = _SOON_S if self._bridging else _MAX_ODOMETRY_GAP_S
+            poses, known = self._odometry.interpolate([stamp], max_gap=max_gap)
+            T_odom_base = poses[0] if known[0] else None
         self._bridging = False
         # Scans of some recordings step back by less than a second.
         self._odometry.drop_before(stamp - _MAX_ODOMETRY_GAP_S)
-        return poses[0] if known[0] else None
+        return T_odom_base
 
     def _publish_pose(self, result: LocalizedScan, stamp: Time, T_odom_base: NDArray[np.float64] | None) -> None:
         head = conversions.header(stamp, self.settings.map_frame)
@@ -289,37 +295,12 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self._transforms.send(stamp, self.settings.map_frame, self.settings.odom_frame, T_map_odom)
 
     def _publish_maps(self) -> None:
-        """Publish trajectory and point map if there is a new keyframe, and the occupancy grid once it has caught up."""
-        if self._localizer is None or self._grid is None:
+        """Tell of new keyframes, and have the maps drawn that changed with them."""
+        if self._localizer is None:
             return
-        keyframes = self._localizer.keyframes()
-        head = conversions.header(self._last_stamp, self.settings.map_frame)
-        if self._map_changed:
-            self._map_changed = False
-            self._trajectory_publisher.publish(conversions.path_message(head, keyframes))
-            self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
+        self._maps.publish(self._localizer, self._last_stamp)
         if self._makes_map(self._localizer):
             self._keyframe_sender.tell(self._localizer, self.settings.map_frame)
-        poses = keyframes.planar()
-        if not self._grid.is_current(poses) and self._counted(self._grid, poses):
-            self._say_left_out(self._grid)
-            self._grid_publisher.publish(conversions.grid_message(head, self._grid.grid()))
-
-    def _counted(self, grid: KeyframeGrid, poses: NDArray[np.float64]) -> bool:
-        """Count keyframes, as many as there is time for; whether all are counted."""
-        end = monotonic() + _GRID_S
-        while not grid.update(poses, most=_GRID_KEYFRAMES):
-            if monotonic() > end:
-                return False
-        return True
-
-    def _say_left_out(self, grid: KeyframeGrid) -> None:
-        if grid.left_out:
-            self.say_once("map", f"{grid.left_out} of {len(grid)} keyframes are not in `map`: {grid.why_left_out}")
-
-    def _map_cloud(self) -> Cloud:
-        planar = np.empty((0, 2)) if self._localizer is None else self._localizer.point_map()
-        return Cloud(np.column_stack([planar, np.zeros(len(planar))]))
 
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
         frame = message.header.frame_id
@@ -345,14 +326,6 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._reset(None)
         return "starting a new map" if self._session is None else "starting again with the loaded map"
 
-    def _empty_grid(self) -> None:
-        """Only the map that is loaded stays in the grid."""
-        if self._grid is not None:
-            self._grid.clear()
-            if self._session is not None:
-                self._grid.add_session(self._session)
-                self._map_changed = True
-
     def _reset(self, start: NDArray[np.float64] | None) -> None:
         """Start anew. The empty trajectory tells whoever builds on the poses that they start anew."""
         self._start = start
@@ -360,37 +333,33 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self.drops["scan that waited at a reset"] += len(self._waiting)
         self._waiting.clear()
         self._newest_scan = -np.inf
-        self._map_changed = False
         self._matched.clear()
         self._wheel_check = WheelCheck()
         self._journal.clear()
         self._keyframe_sender.begin_anew()
         if self._session is not self._loaded:
             # What was taken up from the journal is forgotten, too.
-            self._session, self._localizer, self._grid = self._loaded, None, None
+            self._session, self._localizer = self._loaded, None
+            self._maps.forget()
         if self._localizer is not None:
             self._localizer.reset(*([] if start is None else [start]))
-        self._empty_grid()
-        head = conversions.header(self._last_stamp, self.settings.map_frame)
-        self._trajectory_publisher.publish(Path(header=head))
-        self._map_publisher.publish(conversions.cloud_to_message(head, self._map_cloud()))
+        self._maps.restart(self._session)
+        self._maps.clear(self._last_stamp)
 
     def _save(self) -> str:
         folder = session_folder(self.settings.session_dir)
-        if self._localizer is None or self._grid is None:
+        if self._localizer is None:
             raise InputError("there is nothing to save", advice=self.waiting_for() or "send scans first")
         trajectory = self._localizer.trajectory()
         write_tum(folder / "trajectory.tum", trajectory)
-        cloud = self._map_cloud()
+        cloud = flat_cloud(self._localizer.point_map())
         write_cloud(folder / "point_map.ply", cloud)
         wrote = f"trajectory.tum ({len(trajectory)} poses), point_map.ply ({len(cloud)} points)"
-        self._grid.update(self._localizer.keyframes().planar())
-        self._say_left_out(self._grid)
-        grid = self._grid.grid()
-        if grid.cells.size:
+        grid = self._maps.grid(self._localizer.keyframes())
+        if grid is not None and grid.cells.size:
             write_map(folder / "map.yaml", grid)
             wrote += f", map.yaml, map.pgm ({grid.cells.shape[1]} x {grid.cells.shape[0]} cells)"
-        if isinstance(self._localizer, Localizer) and len(self._grid):
+        if isinstance(self._localizer, Localizer) and self._localizer.keyframe_count:
             session = self._localizer.session()
             write_session(folder / "session.npz", session)
             wrote += f", session.npz ({len(session)} keyframes)"

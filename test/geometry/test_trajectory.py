@@ -110,3 +110,36 @@ def test_a_cleared_buffer_is_empty():
     buffer.clear()
     assert len(buffer) == 0
     assert buffer.last_stamp == -np.inf
+
+
+def on_a_curve(stamps):
+    """A body at 0.5 m/s that turns at 1 rad/s."""
+    return {t: se3.from_se2([0.5 * np.sin(t), 0.5 * (1 - np.cos(t)), t]) for t in stamps}
+
+
+def test_a_body_is_thought_to_go_on_as_it_went():
+    buffer = PoseBuffer()
+    for stamp, pose in on_a_curve([0.0, 0.04]).items():
+        buffer.add(stamp, pose)
+    assert buffer.ahead(0.07, 0.1) == pytest.approx(on_a_curve([0.07])[0.07], abs=1e-3)  # m: an arc, drawn straight
+    assert buffer.ahead(0.04, 0.1) == pytest.approx(on_a_curve([0.04])[0.04], abs=1e-9)
+
+
+def test_what_comes_after_a_time_makes_no_difference_to_the_pose_ahead():
+    buffer = PoseBuffer()
+    for stamp in (0.0, 0.04):
+        buffer.add(stamp, se3.from_se2([stamp, 0, 0]))
+    before = buffer.ahead(0.05, 0.1)
+    buffer.add(0.08, se3.from_se2([7, 7, 0]))
+    assert np.array_equal(buffer.ahead(0.05, 0.1), before)
+
+
+@pytest.mark.parametrize(("stamp", "longest"), [(0.09, 0.1), (0.07, 0.02), (0.02, 0.1)])
+def test_nothing_is_known_ahead_where_the_next_pose_is_missing_or_there_is_but_one(stamp, longest):
+    buffer = PoseBuffer()
+    for known in (0.0, 0.04):
+        buffer.add(known, se3.from_se2([known, 0, 0]))
+    if stamp < 0.04:
+        buffer = PoseBuffer()
+        buffer.add(0.0, np.eye(4))
+    assert buffer.ahead(stamp, longest) is None

@@ -14,7 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from std_msgs.msg import Header
@@ -255,6 +255,18 @@ def test_the_bytes_of_a_path_are_read_as_the_message(count, frame):
     np.testing.assert_array_equal(read.positions, expected.positions)
     np.testing.assert_array_equal(read.quaternions, expected.quaternions)
     assert (conversions._rows_of_path(data) is None) == (count == 0)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 50])
+@pytest.mark.parametrize("frame", ["", "map", "robot1/map", "a_map"])
+def test_the_bytes_that_are_written_of_a_path_are_read_as_its_message(count, frame):
+    rng = np.random.default_rng(0)
+    head = Header(frame_id=frame, stamp=Time(sec=-3, nanosec=7))
+    trajectory = Trajectory.from_se2(rng.uniform(-2e9, 2e9, count), rng.normal(0, 5, (count, 3)))
+    data, message = conversions.serialized_path(head, trajectory), conversions.path_message(head, trajectory)
+    # What fills up to the next multiple of eight bytes is left as it is by rclpy.
+    assert len(data) == len(serialize_message(message))
+    assert deserialize_message(data, Path) == message
 
 
 def test_a_path_whose_poses_have_frames_of_their_own_is_read_too():
