@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several robots, one map: logs cut into robots that know nothing of each other, and simulated robots on one floor.
 
-    python benchmarks/collaboration.py --data FOLDER
+    python benchmarks/collaboration.py --data FOLDER --jobs 16
 
 What `python benchmarks/merger_cost.py` measured goes to the same page. FOLDER is that of benchmarks/localization.py;
-without it the logs are left out. The page goes to out/benchmarks/collaboration_benchmarks.md.
+without it the logs are left out. The page goes to out/benchmarks/collaboration_benchmarks.md, and beside it, as JSON,
+each table and the scores of all alignments. All are written anew with each piece of work that is done, so that nothing
+is lost where time runs out. `--only` without a table puts the page together from what lies there.
 """
 
 from __future__ import annotations
@@ -14,11 +16,16 @@ import argparse
 import itertools
 import logging
 import math
+import multiprocessing
+import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Lock
+from typing import Any
 
 import clouds
 import numpy as np
@@ -30,7 +37,7 @@ from report import Row, Table
 from g2_recon import joint_pipeline, pipeline
 from g2_recon.collaboration.alignment import Alignment, align, fitted
 from g2_recon.collaboration.map_merger import JointMap, merge
-from g2_recon.config import G2ReconConfig, LocalizationConfig, SimulationConfig
+from g2_recon.config import G2ReconConfig, LocalizationConfig, ReconstructionConfig, SimulationConfig
 from g2_recon.evaluation.relations import read_relations, score_relations
 from g2_recon.evaluation.surface import score_surface
 from g2_recon.geometry import se2, se3
@@ -50,16 +57,17 @@ log = logging.getLogger("collaboration")
 LOGS_NOTE = """\
 Relations of Kuemmerle et al., 2009: of scans of the same robot (within), and of different ones (between). Intel is cut
 into three by time; of ACES the second half is played backwards. Each robot is mapped by itself; where it started is
-not known. claimed: robots whose place was found."""
+not known. claimed: robots whose place was found; agreement: the least of theirs."""
 SIMULATED_NOTE = """\
 Robots that each drive through a part of the simulated floor, 45 % of its tour from anywhere on, with noise of their
-own. right: of the alignments that are claimed, those within 5 cm, at the middle of the robot's way, and 0.5 deg; mean:
-of all keyframes from the truth, after the best rigid motion of all."""
+own. right: of the alignments that are claimed, those within 5 cm, at the middle of the robot's way, and 0.5 deg;
+agreement: the least of those that are claimed; mean: of all keyframes from the truth, after the best rigid motion of
+all."""
 STRANGERS_NOTE = "Maps of different buildings, each looked for in the other; none may be found."
 FLOORS_NOTE = """\
 Maps of the floors at random of benchmarks/random_floors.py, six rooms each, that a robot drove through; each pair is
 looked for in each other, and none may be found. agreement: the highest that any pair reached; 0.87 are needed, 0.94
-where only one part of the map speaks for a place."""
+where only one part of the map speaks for a place. parts: of the map, that speak for the best place."""
 MESHES_NOTE = """\
 The same robots, with vertical scans, to one mesh (`g2-recon run` of four recordings). F5: F-score at 5 cm, of the
 surfaces that were seen, after the rigid motion that lays the keyframes on the truth. Robots that are not in the map
@@ -69,6 +77,12 @@ FLOOR_HEIGHT_M, FLOOR_STEP_M, FLOOR_NOISE_M, FLOOR_WHEELS = 0.35, 0.1, 0.01, 0.0
 ROBOTS, WINDOW = 4, 0.45
 TABLES = ("logs", "simulated", "meshes", "strangers", "floors")
 NEAR_M, NEAR_DEG = 0.05, 0.5
+# So many of the pairs of floors are on the page.
+SHOWN_PAIRS = 5
+LOGS = {"intel": (3, False), "aces": (2, True)}
+
+Made = Iterator[tuple[str, Table]]
+"""Tables as far as they are done, each with the name of its file: anew with each piece of work."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,23 +133,83 @@ def cut(recording: Recording, count: int, *, last_backwards: bool) -> dict[str, 
     return robots
 
 
-def table_logs(data: Path) -> tuple[Table, dict[str, dict[str, Robot]]]:
-    """Logs that are cut into robots."""
-    rows: list[Row] = []
-    all_robots = {}
-    for name, count, turned in (("intel", 3, False), ("aces", 2, True)):
-        log.info("%s in %d", name, count)
-        recording = read_recording(next(data.glob(f"carmen/{name}*.clf*")))
-        robots = all_robots[name] = cut(recording, count, last_backwards=turned)
-        began = time.perf_counter()
-        merged = merge({robot: one.session for robot, one in robots.items()})
-        seconds = time.perf_counter() - began
-        rows.append(
-            {"log": name, "robots": count, "claimed": len(merged.rows)}
-            | relations_of(read_relations(next(data.glob(f"relations/{name}.relations"))), robots, merged)
-            | {"loops between": loops_between(merged), "s to merge": f"{seconds:.1f}"}
-        )
-    return Table("Logs cut into robots", LOGS_NOTE, {"": rows}), all_robots
+def done(pool: Executor, title: str, make: Callable[..., Any], given: Sequence[tuple]) -> Iterator[list[Any]]:
+    """What is made of each of the given arguments, in their order, as far as it is there: with each that is done."""
+    futures = {pool.submit(make, *arguments): number for number, arguments in enumerate(given)}
+    results: dict[int, Any] = {}
+    for future in as_completed(futures):
+        number = futures[future]
+        try:
+            results[number] = future.result()
+        except Exception:
+            # The others count all the same, and what lacks is missed in the table.
+            log.exception("%s %s", title, given[number])
+            continue
+        log.info("%s: %d of %d", title, len(results), len(given))
+        yield [results[number] for number in sorted(results)]
+
+
+def scores_of(alignment: Alignment) -> Row:
+    """What speaks for an alignment and against it."""
+    sigma = math.sqrt(np.linalg.eigvalsh(alignment.covariance[:2, :2])[1]) if alignment.way else math.inf
+    return {
+        "state": alignment.state,
+        "agreement": f"{alignment.agreement:.3f}",
+        "way in common, m": f"{alignment.way:.1f}",
+        "parts": len(alignment.keyframes),
+        "sigma, m": f"{sigma:.3f}",
+        "reason": alignment.reason,
+    }
+
+
+def scores_of_map(merged: JointMap) -> list[Row]:
+    """The scores of all robots but that where the world is."""
+    first = next(iter(merged.rows))
+    return [{"robot": name} | scores_of(one) for name, one in sorted(merged.alignments.items()) if name != first]
+
+
+def least_agreement(scores: list[Row]) -> str:
+    """Of the robots whose place was found."""
+    return min((row["agreement"] for row in scores if row["state"] == "aligned"), default="")
+
+
+def tables_logs(pool: Executor, data: Path) -> Made:
+    """Logs that are cut into robots, and the robots of each looked for in the other."""
+    made: list[tuple[Row, list[Row], dict[str, Session]]] = []
+    for made in done(pool, "logs", log_row, [(name, data) for name in LOGS]):
+        yield "logs", Table("Logs cut into robots", LOGS_NOTE, {"": [row for row, _, _ in made]})
+        yield "logs_scores", Table("Logs", "", {"": [score for _, scores, _ in made for score in scores]})
+    sessions = {row["log"]: robots for row, _, robots in made}
+    given = [
+        (f"{one} {robot}", f"{other} {robot}", sessions[one][robot], sessions[other][robot])
+        for one, other in itertools.permutations(sessions, 2)
+        for robot in ("robot0", "robot1")
+    ]
+    for rows in done(pool, "strangers", strangers_row, given):
+        yield "strangers", Table("Different buildings", STRANGERS_NOTE, {"": rows})
+
+
+def log_row(name: str, data: Path) -> tuple[Row, list[Row], dict[str, Session]]:
+    """A log cut into robots; its row, the scores of the robots, and their maps."""
+    count, turned = LOGS[name]
+    recording = read_recording(next(data.glob(f"carmen/{name}*.clf*")))
+    robots = cut(recording, count, last_backwards=turned)
+    sessions = {robot: one.session for robot, one in robots.items()}
+    began = time.perf_counter()
+    merged = merge(sessions)
+    seconds = time.perf_counter() - began
+    scores = [{"log": name} | row for row in scores_of_map(merged)]
+    row = (
+        {"log": name, "robots": count, "claimed": len(merged.rows), "agreement": least_agreement(scores)}
+        | relations_of(read_relations(next(data.glob(f"relations/{name}.relations"))), robots, merged)
+        | {"loops between": loops_between(merged), "s to merge": f"{seconds:.1f}"}
+    )
+    return row, scores, sessions
+
+
+def strangers_row(one: str, other: str, fixed: Session, moving: Session) -> Row:
+    """A robot looked for in the map of another building."""
+    return {"map": one, "looked for": other} | scores_of(align(fixed, moving))
 
 
 def relations_of(relations: Float, robots: dict[str, Robot], merged: JointMap) -> Row:
@@ -172,18 +246,33 @@ def loops_between(merged: JointMap) -> int:
     return int((owner[merged.session.loops[:, 0]] != owner[merged.session.loops[:, 1]]).sum())
 
 
-def table_simulated(seeds: Sequence[int]) -> Table:
+def tables_simulated(pool: Executor, seeds: int) -> Made:
     """Simulated robots on one floor, seed by seed."""
-    rows = []
-    for seed in seeds:
-        log.info("simulated, seed %d", seed)
-        rng = np.random.default_rng(seed)
-        drives = {f"robot{k}": drive(1000 * seed + k, rng.uniform(0, 1 - WINDOW)) for k in range(ROBOTS)}
-        robots = {name: mapped(simulation.recording) for name, simulation in drives.items()}
-        began = time.perf_counter()
-        merged = merge({name: robot.session for name, robot in robots.items()})
-        rows.append({"seed": seed} | placed_of(merged, drives) | {"s to merge": f"{time.perf_counter() - began:.1f}"})
-    return Table("Simulated robots", SIMULATED_NOTE, {"": rows})
+    for made in done(pool, "simulated", simulated_row, [(seed,) for seed in range(seeds)]):
+        yield "simulated", Table("Simulated robots", SIMULATED_NOTE, {"": [row for row, _ in made]})
+        yield "simulated_scores", Table("Simulated", "", {"": [score for _, scores in made for score in scores]})
+
+
+def simulated_row(seed: int) -> tuple[Row, list[Row]]:
+    """Simulated robots on one floor; their row, and the scores of each."""
+    drives = drives_of(seed)
+    sessions = {name: mapped(simulation.recording).session for name, simulation in drives.items()}
+    began = time.perf_counter()
+    merged = merge(sessions)
+    seconds = time.perf_counter() - began
+    scores = [{"seed": seed} | row for row in scores_of_map(merged)]
+    row = {"seed": seed} | placed_of(merged, drives) | {"agreement": least_agreement(scores)}
+    return row | {"s to merge": f"{seconds:.1f}"}, scores
+
+
+def drives_of(seed: int, *, vertical_every: int = 1000) -> dict[str, Simulation]:
+    """Robots that each drive through a part of the floor."""
+    rng = np.random.default_rng(seed)
+    begins = {f"robot{k}": rng.uniform(0, 1 - WINDOW) for k in range(ROBOTS)}
+    return {
+        name: drive(1000 * seed + k, begin, vertical_every=vertical_every)
+        for k, (name, begin) in enumerate(begins.items())
+    }
 
 
 def drive(seed: int, begin: float, *, vertical_every: int = 1000) -> Simulation:
@@ -221,33 +310,28 @@ def true_poses(stamps: Float, simulation: Simulation) -> Float:
     return se2.compose(se2.from_se3(T_map_base), se2.from_se3(simulation.recording.T_base_laser))
 
 
-def table_strangers(robots: dict[str, dict[str, Robot]]) -> Table:
-    """Robots of different buildings, each looked for in the other's map."""
-    rows = []
-    for fixed, moving in (("intel", "aces"), ("aces", "intel")):
-        for one, other in zip(robots[fixed], robots[moving], strict=False):
-            found = align(robots[fixed][one].session, robots[moving][other].session)
-            where = {"map": f"{fixed} {one}", "looked for": f"{moving} {other}"}
-            rows.append(where | {"state": found.state, "reason": found.reason})
-    return Table("Different buildings", STRANGERS_NOTE, {"": rows})
+def tables_floors(pool: Executor, pairs: int) -> Made:
+    """Robots on different floors at random, each looked for in the maps of those before it."""
+    numbers = list(itertools.islice(((one, other) for other in itertools.count() for one in range(other)), pairs))
+    seeds = range(1 + max((other for _, other in numbers), default=-1))
+    *_, sessions = [[], *done(pool, "floors", floor_session, [(seed,) for seed in seeds])]
+    if len(sessions) < len(seeds):
+        return
+    given = [(one, other, sessions[one], sessions[other]) for one, other in numbers]
+    for rows in done(pool, "pairs of floors", floors_row, given):
+        states = Counter(row["state"] for row in rows)
+        nearest = sorted(rows, key=lambda row: -float(row["agreement"]))[:SHOWN_PAIRS]
+        total: Row = {"floors": len(seeds), "pairs": len(rows)}
+        total |= {state: states[state] for state in ("aligned", "ambiguous", "rejected")}
+        total["agreement"] = nearest[0]["agreement"]
+        sections = {"": [total], "The pairs that came nearest": nearest}
+        yield "floors", Table("Different floors", FLOORS_NOTE, sections)
+        yield "floors_scores", Table("All pairs of floors", "", {"": rows})
 
 
-def tables_floors(pairs: int) -> Iterator[Table]:
-    """Robots on different floors at random: a table after each pair, of all so far."""
-    sessions: list[Session] = []
-    found: list[Alignment] = []
-    while len(found) < pairs:
-        log.info("floor %d", len(sessions))
-        sessions.append(floor_session(len(sessions)))
-        for other in sessions[: min(len(sessions) - 1, pairs - len(found))]:
-            found.append(align(other, sessions[-1]))
-            log.info("pair %d: %s, %s", len(found), found[-1].state, found[-1].reason)
-            states = Counter(alignment.state for alignment in found)
-            nearest = max(found, key=lambda alignment: alignment.agreement)
-            row: Row = {"floors": len(sessions), "pairs": len(found)}
-            row |= {state: states[state] for state in ("aligned", "ambiguous", "rejected")}
-            row |= {"agreement": f"{nearest.agreement:.2f}", "of that pair": nearest.reason}
-            yield Table("Different floors", FLOORS_NOTE, {"": [row]})
+def floors_row(one: int, other: int, fixed: Session, moving: Session) -> Row:
+    """The robot of one floor looked for in the map of another."""
+    return {"map of floor": one, "looked for": other} | scores_of(align(fixed, moving))
 
 
 def floor_session(seed: int) -> Session:
@@ -273,30 +357,28 @@ def floor_session(seed: int) -> Session:
     return localizer.session()
 
 
-def tables_meshes(seeds: Sequence[int]) -> Iterator[Table]:
-    """The mesh of simulated robots on one floor: a table after each seed, of all so far."""
-    rows = []
-    for seed in seeds:
-        log.info("mesh, seed %d", seed)
-        rng = np.random.default_rng(seed)
-        drives = {
-            f"robot{k}": drive(1000 * seed + k, rng.uniform(0, 1 - WINDOW), vertical_every=6) for k in range(ROBOTS)
-        }
-        result = joint_pipeline.run({name: one.recording for name, one in drives.items()}, G2ReconConfig())
-        poses = result.map.session.poses
-        rows_of = result.map.rows
-        truth = np.concatenate([true_poses(result.map.session.stamps[rows_of[name]], drives[name]) for name in rows_of])
-        motion = se3.from_se2(fitted(poses, truth))
-        simulation = next(iter(drives.values()))
-        seen = se3.transform_points(motion, result.cloud.points)
-        surface = TrueSurface(simulation.vertices, simulation.faces, seen)
-        mesh = result.reconstruction.mesh
-        score = score_surface(surface, se3.transform_points(motion, mesh.vertices), mesh.faces, thresholds=[0.05])
-        at = score.at[0]
-        row = {"seed": seed, "robots": ROBOTS, "in the map": len(rows_of), "points": len(seen)}
-        rows.append(row | {"F5": f"{100 * at.f_score:.1f}"})
-        log.info("%s", rows[-1])
-        yield Table("One mesh of four robots", MESHES_NOTE, {"": rows})
+def tables_meshes(pool: Executor, seeds: int, workers: int) -> Made:
+    """The mesh of simulated robots on one floor, seed by seed."""
+    for rows in done(pool, "meshes", mesh_row, [(seed, workers) for seed in range(seeds)]):
+        yield "meshes", Table("One mesh of four robots", MESHES_NOTE, {"": rows})
+
+
+def mesh_row(seed: int, workers: int) -> Row:
+    """Simulated robots on one floor, and their mesh, made by so many threads."""
+    drives = drives_of(seed, vertical_every=6)
+    settings = G2ReconConfig(reconstruction=ReconstructionConfig(workers=workers))
+    result = joint_pipeline.run({name: one.recording for name, one in drives.items()}, settings)
+    poses = result.map.session.poses
+    rows_of = result.map.rows
+    truth = np.concatenate([true_poses(result.map.session.stamps[rows_of[name]], drives[name]) for name in rows_of])
+    motion = se3.from_se2(fitted(poses, truth))
+    simulation = next(iter(drives.values()))
+    seen = se3.transform_points(motion, result.cloud.points)
+    surface = TrueSurface(simulation.vertices, simulation.faces, seen)
+    mesh = result.reconstruction.mesh
+    score = score_surface(surface, se3.transform_points(motion, mesh.vertices), mesh.faces, thresholds=[0.05])
+    row = {"seed": seed, "robots": ROBOTS, "in the map": len(rows_of), "points": len(seen)}
+    return row | {"F5": f"{100 * score.at[0].f_score:.1f}"}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -305,33 +387,64 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--data", type=Path, help="folder with logs and relations that are not in the repository")
     parser.add_argument("--seeds", type=int, default=10, help="so many groups of simulated robots (default: 10)")
     parser.add_argument("--pairs", type=int, default=50, help="so many pairs of floors at random (default: 50)")
-    parser.add_argument("--meshes", type=int, default=3, help="so many groups of which a mesh is made (default: 3)")
-    parser.add_argument("--only", nargs="+", choices=TABLES, default=TABLES, help="make these tables (default: all)")
+    parser.add_argument("--meshes", type=int, default=10, help="so many groups of which a mesh is made (default: 10)")
+    parser.add_argument(
+        "--only",
+        nargs="*",
+        choices=TABLES,
+        default=TABLES,
+        help="make these tables (default: all); logs and strangers go together",
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="so many processes, of one thread each (default: 1)")
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks"))
     given = parser.parse_args(arguments)
     logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     log.setLevel(logging.INFO)
     given.out.mkdir(parents=True, exist_ok=True)
-    makers: dict[str, Callable[[], Iterable[Table]]] = {
-        "simulated": lambda: [table_simulated(range(given.seeds))],
-        "meshes": lambda: tables_meshes(range(given.meshes)),
-        "floors": lambda: tables_floors(given.pairs),
-    }
-    for name in given.only:
-        # What takes long is kept as far as it is.
-        for table in makers[name]() if name in makers else ():
-            report.save(given.out / f"collaboration_{name}.json", table)
-    if not {"logs", "strangers"}.isdisjoint(given.only):
-        if given.data is None:
-            log.warning("the logs are left out; benchmarks/localization.py says where they are to be had")
-        else:
-            logs, robots = table_logs(given.data)
-            report.save(given.out / "collaboration_logs.json", logs)
-            report.save(given.out / "collaboration_strangers.json", table_strangers(robots))
-    paths = [given.out / f"collaboration_{name}.json" for name in (*TABLES, "cost")]
-    head = "# Benchmarks of several robots\n\nMade by\n\n    python benchmarks/collaboration.py --data FOLDER\n"
-    (given.out / "collaboration_benchmarks.md").write_text(report.page(head, paths))
+    wanted = {name.replace("strangers", "logs") for name in given.only}
+    if "logs" in wanted and given.data is None:
+        wanted.remove("logs")
+        log.warning("the logs are left out; benchmarks/localization.py says where they are to be had")
+    with pool_of(given.jobs) as pool:
+        # What takes longest begins first; it does not matter which table a process works for.
+        makers: dict[str, Callable[[], Made]] = {
+            "logs": lambda: tables_logs(pool, given.data),
+            "floors": lambda: tables_floors(pool, given.pairs),
+            "meshes": lambda: tables_meshes(pool, given.meshes, 1 if given.jobs > 1 else 0),
+            "simulated": lambda: tables_simulated(pool, given.seeds),
+        }
+        with ThreadPoolExecutor(len(makers)) as threads:
+            for future in [threads.submit(keep, make(), given.out) for name, make in makers.items() if name in wanted]:
+                future.result()
+    write_page(given.out)
     log.info("%s", given.out / "collaboration_benchmarks.md")
+
+
+def pool_of(jobs: int) -> Executor:
+    """Processes of one thread each; for one job this process will do."""
+    if jobs == 1:
+        return ThreadPoolExecutor(1)
+    # They are started afresh, and read these before anything else.
+    os.environ |= dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    return ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+
+
+def keep(made: Made, out: Path) -> None:
+    """Write tables, and the page, as they come."""
+    for name, table in made:
+        with _writing:
+            report.save(out / f"collaboration_{name}.json", table)
+            write_page(out)
+
+
+_writing = Lock()
+
+
+def write_page(out: Path) -> None:
+    """The page, of the tables that lie there."""
+    paths = [out / f"collaboration_{name}.json" for name in (*TABLES, "cost")]
+    head = "# Benchmarks of several robots\n\nMade by\n\n    python benchmarks/collaboration.py --data FOLDER\n"
+    (out / "collaboration_benchmarks.md").write_text(report.page(head, paths))
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ RATE_HZ, POINTS, PIECE_SCANS = 75, 100, 16
 NOTE = """\
 CPU time of `map_merger_node` while robots drive at once, each with 75 vertical scans of 100 points a second. callbacks:
 share of one core that the node takes to receive, place and hand on; merging: that of the process beside it, which rests
-as long as each merging took; median, 99.9 % and longest: CPU time that callbacks take; others had this machine, too."""
+as long as each merging took; median, 99.9 % and longest: CPU time that callbacks take."""
 
 
 class TimedMerger(MapMergerNode):

@@ -44,8 +44,10 @@ class Table:
 
 
 def save(path: Path, table: Table) -> None:
-    """Keep a table, with the machine that it was made on, as JSON."""
-    path.write_text(json.dumps({"machine": machine(), "table": asdict(table)}, indent=1) + "\n")
+    """Keep a table, with the machine that it was made on, as JSON: whole or, where it is cut off, as it was before."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps({"machine": machine(), "table": asdict(table)}, indent=1) + "\n")
+    part.replace(path)
 
 
 def page(head: str, paths: Iterable[Path]) -> str:
