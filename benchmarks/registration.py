@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All tables of docs/registration_benchmarks.md: stop-and-go sweeps, and what of them is refused; vertical scans.
 
-Usage: python benchmarks/registration.py [--data FOLDER] [--only TABLE ...] [--quick] [--out FOLDER]
+Usage: python benchmarks/registration.py [--data FOLDER] [--only TABLE ...] [--quick] [--jobs N] [--out FOLDER]
 
 Writes registration_benchmarks.md and a JSON file a table to the folder. The page is put together from all tables that
 lie there, so that one can be made anew. Without --data, recorded sweeps and scans are left out.
@@ -11,14 +11,16 @@ lie there, so that one can be made anew. Without --data, recorded sweeps and sca
 from __future__ import annotations
 
 import argparse
+import functools
 import itertools
 import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import report
@@ -26,6 +28,7 @@ import simulated_sweeps as simulated
 import vertical_scans
 from numpy.typing import NDArray
 from report import Row, Table
+from scipy.spatial import cKDTree
 from simulated_sweeps import errors, off_by, stop, sweep
 
 from g2_recon.config import SweepConfig
@@ -56,6 +59,11 @@ SLAM6D_SETTINGS = {"min_range": 0.5, "min_inliers": 0.5}
 SLAM6D_OFF = (0.3, 8.0)
 # Of two sweeps as they lie on each other: pairs that count, and a distance that the farthest of them have at most.
 FIT_NEAR_M, FIT_PARALLEL, FIT_MOST_M = 0.3, 0.97, 0.05
+# Patches of walls: cubes of this edge with so many points, at most so thin and at least so wide, standard deviations;
+# and how far apart two of the same wall may lie. Of pairs of points, the nearer part.
+PATCH_M, PATCH_POINTS, PATCH_THIN_M, PATCH_WIDE_M = 0.5, 30, 0.02, 0.08
+WALL_M, WALL_DEG = 0.15, 10.0
+NEARER_PART = 0.7
 
 RING_ODOMETRY = (0.1, 3.0)
 CORRIDOR_STEP_M, CORRIDOR_ODOMETRY = 3.0, (0.2, 3.0)
@@ -76,7 +84,10 @@ method has more than two thirds within 6 cm: min_inliers is {SLAM6D_SETTINGS["mi
 are refused. Where a method ends depends on how it weights near and far points, by some centimetres; point-to-point ICP
 of all points with a gate of 25 cm, as slam6D does it, ends on .frames of the first pair.
 apart, mm: RMS distance of the points of one sweep from the surfaces of the other, none counted as more than
-{100 * FIT_MOST_M:.0f} cm, beside what it is where the truth has them: which of the two fits the sweeps better."""
+{100 * FIT_MOST_M:.0f} cm, beside what it is where the truth has them: which of the two fits the sweeps better. Methods
+minimize something like it, so there are two more judges, of the points as measured. walls apart: between the planes of
+the same wall in both sweeps, fitted to cubes of {PATCH_M:g} m, medians. points apart: RMS distance from the points of
+one sweep to the nearest of the other, of the nearer {NEARER_PART:.0%}."""
 RING_NOTE = """\
 12 stops in a corridor round a block of four rooms, 4.6 m apart, odometry 10 cm and 3 deg off a step. Error of the last
 sweep as seen from the first, and the largest of all sweeps, three seeds."""
@@ -92,93 +103,116 @@ rooms are alike."""
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Where recordings are, None if there are none, whether to do a few of each only, and where pictures go."""
+    """Where recordings are, None if there are none, whether to do a few of each only, and where pictures go.
+
+    jobs: how many cases are done at once; with more than one, what a case takes is not said.
+    """
 
     data: Path | None
     quick: bool
     out: Path
+    jobs: int = 1
 
     def some(self, count: int) -> range:
         """So many, or two."""
         return range(min(count, 2) if self.quick else count)
 
+    def each(self, function: Callable[..., Any], cases: Iterable[tuple[Any, ...]], *, table: str) -> list[Any]:
+        """What a function makes of this and each case, in their order, as many at once as jobs."""
+        function = functools.partial(function, self)
+        return report.each(function, cases, jobs=self.jobs, table=self.out / f"registration_{table}.json")
+
 
 def room_table(bench: Bench) -> Table:
     """Accuracy and time of the methods in the simulated room."""
-    rectangles = simulated.furnished_room()
+    kinds = list(itertools.product(METHODS, GUESSES))
+    cases = [(*kind, seed) for kind in kinds for seed in bench.some(SEEDS)]
+    results = bench.each(_in_the_room, cases, table="room")
     rows = []
-    for method, guess in itertools.product(METHODS, GUESSES):
-        config = SweepConfig(method=method)
-        off, seconds, good = [], [], 0
-        for seed in bench.some(SEEDS):
-            rng = np.random.default_rng(seed)
-            first, second = stop(5.0, 3.0, 10.0), stop(6.5, 3.6, 25.0)
-            fixed = prepare(sweep(rectangles, first, rng), config)
-            points, truth = sweep(rectangles, second, rng), se3.inverse(first) @ second
-            start = truth @ off_by(rng, *guess)
-            tries = []
-            for _ in bench.some(TRIES if method == "gicp" else 1):
-                began = time.process_time()
-                found = match(prepare(points, config), fixed, start, config)
-                tries.append(time.process_time() - began)
-            seconds.append(min(tries))
-            off.append(1000 * errors(found.T, truth)[0])
-            good += found.quality == "good"
-        rows.append(
-            {
-                "method": method,
-                "guess off by": f"{100 * guess[0]:.0f} cm, {guess[1]:.0f} deg",
-                "median, mm": f"{np.median(off):.1f}",
-                "worst, mm": f"{max(off):.1f}",
-                "good": f"{good} of {len(off)}",
-                "ms": f"{1000 * np.median(seconds):.0f} ({1000 * min(seconds):.0f})",
-            }
+    for kind in kinds:
+        method, guess = kind
+        off, seconds, good = zip(
+            *(of for case, of in zip(cases, results, strict=True) if case[:2] == kind), strict=True
         )
+        row = {
+            "method": method,
+            "guess off by": f"{100 * guess[0]:.0f} cm, {guess[1]:.0f} deg",
+            "median, mm": f"{np.median(off):.1f}",
+            "worst, mm": f"{max(off):.1f}",
+            "good": f"{sum(good)} of {len(off)}",
+        }
+        if bench.jobs == 1:
+            row["ms"] = f"{1000 * np.median(seconds):.0f} ({1000 * min(seconds):.0f})"
+        rows.append(row)
     return Table("A simulated room", ROOM_NOTE, {"": rows})
+
+
+def _in_the_room(bench: Bench, method: str, guess: tuple[float, float], seed: int) -> tuple[float, float, bool]:
+    """Error of the position in mm, least seconds of processor time, and whether the match is good."""
+    config = SweepConfig(method=method)
+    rectangles = simulated.furnished_room()
+    rng = np.random.default_rng(seed)
+    first, second = stop(5.0, 3.0, 10.0), stop(6.5, 3.6, 25.0)
+    fixed = prepare(sweep(rectangles, first, rng), config)
+    points, truth = sweep(rectangles, second, rng), se3.inverse(first) @ second
+    start = truth @ off_by(rng, *guess)
+    tries = []
+    for _ in bench.some(TRIES if method == "gicp" else 1):
+        began = time.process_time()
+        found = match(prepare(points, config), fixed, start, config)
+        tries.append(time.process_time() - began)
+    return 1000 * errors(found.T, truth)[0], min(tries), found.quality == "good"
 
 
 def recordings_table(bench: Bench) -> Table | None:
     """The recorded sweeps."""
     if bench.data is None:
         return None
-    return Table("Recorded sweeps", RECORDINGS_NOTE, {"pcl_room": pcl_rows(bench), "3dtk": list(slam6d_rows(bench))})
+    starts = list(itertools.product(METHODS, (None, *bench.some(PCL_STARTS))))
+    found = bench.each(_pcl_room, starts, table="recordings")
+    rooms = []
+    for method in METHODS:
+        row, *right = (of for (name, _), of in zip(starts, found, strict=True) if name == method)
+        rooms.append({"method": method} | row | {"right of the starts": f"{sum(right)} of {len(right)}"})
+    pairs = list(itertools.product(METHODS, ((0, 1), (1, 2))))
+    corridor = [
+        {"method": method, "sweeps": f"{i}, {j}"} | row
+        for (method, (i, j)), row in zip(pairs, bench.each(_slam6d, pairs, table="recordings"), strict=True)
+    ]
+    return Table("Recorded sweeps", RECORDINGS_NOTE, {"pcl_room": rooms, "3dtk": corridor})
 
 
-def pcl_rows(bench: Bench) -> list[Row]:
-    """A row a method."""
+def _pcl_room(bench: Bench, method: str, start: int | None) -> Row | bool:
+    """The columns of a method from the robot's odometry; from a start, whether it is right."""
     assert bench.data is not None
     clouds = [read_sweep(bench.data / f"sweeps/pcl_room/room_scan{number}.pcd").cloud for number in (1, 2)]
     truth = se3.from_xyz_rpy(PCL_TRUTH)
-    rows = []
-    for method in METHODS:
-        config = SweepConfig(method=method)
-        fixed, moving = (prepare(cloud, config) for cloud in clouds)
-        found = match(moving, fixed, se3.from_xyz_rpy(PCL_ODOMETRY), config)
-        rng = np.random.default_rng(0)
-        right = 0
-        for _ in bench.some(PCL_STARTS):
-            reach = PCL_START_M * math.sqrt(rng.random())
-            start = truth @ off_by(rng, reach, PCL_START_DEG * rng.random())
-            other = match(moving, fixed, start, config)
-            metres, degrees = planar_errors(other.T, truth)
-            right += not other.refused and metres < PCL_RIGHT_STARTS_M and degrees < RIGHT_DEG
+    config = SweepConfig(method=method)
+    fixed, moving = (prepare(cloud, config) for cloud in clouds)
+    if start is not None:
+        found = match(moving, fixed, pcl_starts(truth)[start], config)
         metres, degrees = planar_errors(found.T, truth)
-        rows.append(
-            {
-                "method": method,
-                "from odometry": found.quality,
-                "position off, cm": f"{100 * metres:.2f}",
-                "heading off, deg": f"{degrees:.2f}",
-                "overlap": f"{found.overlap:.0%}",
-                "inliers": f"{found.inlier_share:.0%}",
-                "residual, mm": f"{1000 * found.residual:.0f}",
-                "apart, mm": "{:.1f} (truth {:.1f})".format(
-                    *(1000 * apart(moving, fixed, T) for T in (found.T, truth))
-                ),
-                "right of the starts": f"{right} of {len(bench.some(PCL_STARTS))}",
-            }
-        )
-    return rows
+        return not found.refused and metres < PCL_RIGHT_STARTS_M and degrees < RIGHT_DEG
+    found = match(moving, fixed, se3.from_xyz_rpy(PCL_ODOMETRY), config)
+    metres, degrees = planar_errors(found.T, truth)
+    return {
+        "from odometry": found.quality,
+        "position off, cm": f"{100 * metres:.2f}",
+        "heading off, deg": f"{degrees:.2f}",
+        "overlap": f"{found.overlap:.0%}",
+        "inliers": f"{found.inlier_share:.0%}",
+        "residual, mm": f"{1000 * found.residual:.0f}",
+    } | judged(moving, fixed, found.T, truth, "truth")
+
+
+def pcl_starts(truth: Float) -> list[Float]:
+    """Guesses (4, 4) at random about the truth of pcl_room."""
+    rng = np.random.default_rng(0)
+    starts = []
+    for _ in range(PCL_STARTS):
+        reach = PCL_START_M * math.sqrt(rng.random())
+        starts.append(truth @ off_by(rng, reach, PCL_START_DEG * rng.random()))
+    return starts
 
 
 def apart(moving: PreparedSweep, fixed: PreparedSweep, T: Float) -> float:
@@ -191,36 +225,91 @@ def apart(moving: PreparedSweep, fixed: PreparedSweep, T: Float) -> float:
     return float(np.sqrt(np.mean(np.minimum(off**2, FIT_MOST_M**2))))
 
 
+@dataclass(frozen=True, slots=True)
+class Patches:
+    """Flat parts of a sweep, of its points as measured: centers (P, 3) m and unit normals (P, 3)."""
+
+    centers: Float
+    normals: Float
+
+
+def patches(points: Float) -> Patches:
+    """The flat ones among the cubes of half a metre that points (N, 3) in metres are in."""
+    cells, number, count = np.unique(
+        np.floor(points / PATCH_M).astype(int), axis=0, return_inverse=True, return_counts=True
+    )
+    number = number.reshape(-1)
+    sums = np.stack([np.bincount(number, column, len(cells)) for column in points.T], axis=1)
+    centers = sums / count[:, None]
+    away = points - centers[number]
+    products = np.einsum("ni,nj->nij", away, away).reshape(-1, 9)
+    scatter = np.stack([np.bincount(number, column, len(cells)) for column in products.T], axis=1)
+    square, axes = np.linalg.eigh((scatter / count[:, None]).reshape(-1, 3, 3))
+    spread = np.sqrt(np.maximum(square, 0.0))
+    flat = (count >= PATCH_POINTS) & (spread[:, 0] < PATCH_THIN_M) & (spread[:, 1] > PATCH_WIDE_M)
+    return Patches(centers[flat], axes[flat, :, 0])
+
+
+def walls_apart(moving: Patches, fixed: Patches, places: Sequence[Float]) -> list[tuple[float, float]]:
+    """For each place (4, 4), mm and deg between the same walls in both sweeps: medians over their patches.
+
+    A patch of one sweep is of the wall that the patch of the other nearest to it is on, in all of the places.
+    """
+    tree = cKDTree(fixed.centers)
+    placed = [se3.transform_points(T, moving.centers) for T in places]
+    turned = [moving.normals @ T[:3, :3].T for T in places]
+    near = tree.query(np.mean(placed, axis=0))[1]
+    off = [np.abs(np.einsum("pi,pi->p", fixed.normals[near], centers - fixed.centers[near])) for centers in placed]
+    angles = [np.arccos(np.minimum(np.abs(np.einsum("pi,pi->p", fixed.normals[near], n)), 1.0)) for n in turned]
+    beside = np.linalg.norm(np.mean(placed, axis=0) - fixed.centers[near], axis=1) < PATCH_M
+    same = beside & (np.max(off, axis=0) < WALL_M) & (np.max(angles, axis=0) < math.radians(WALL_DEG))
+    return [(1000 * np.median(o[same]), math.degrees(np.median(a[same]))) for o, a in zip(off, angles, strict=True)]
+
+
+def points_apart(moving: Float, fixed: Float, T: Float) -> float:
+    """RMS in mm over the nearer part of the points (N, 3) of a sweep, as measured, of how far the next of others is."""
+    distances = np.sort(cKDTree(fixed).query(se3.transform_points(T, moving))[0])
+    return float(1000 * np.sqrt(np.mean(distances[: int(NEARER_PART * len(distances))] ** 2)))
+
+
+def judged(moving: PreparedSweep, fixed: PreparedSweep, own: Float, truth: Float, name: str) -> Row:
+    """Columns that say which of two places fits two sweeps better, by what no method of ours minimizes."""
+    walls = walls_apart(patches(moving.measured), patches(fixed.measured), (own, truth))
+    points = [points_apart(moving.measured, fixed.measured, T) for T in (own, truth)]
+    surfaces = [1000 * apart(moving, fixed, T) for T in (own, truth)]
+    return {
+        "apart, mm": f"{surfaces[0]:.1f} ({name} {surfaces[1]:.1f})",
+        "walls apart, mm": f"{walls[0][0]:.1f} ({name} {walls[1][0]:.1f})",
+        "walls apart, deg": f"{walls[0][1]:.2f} ({name} {walls[1][1]:.2f})",
+        "points apart, mm": f"{points[0]:.1f} ({name} {points[1]:.1f})",
+    }
+
+
 def planar_errors(T: Float, truth: Float) -> tuple[float, float]:
     """Metres between two positions (4, 4) and degrees between their headings."""
     turn = math.atan2(T[1, 0], T[0, 0]) - math.atan2(truth[1, 0], truth[0, 0])
     return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), math.degrees(abs(math.remainder(turn, 2 * math.pi)))
 
 
-def slam6d_rows(bench: Bench) -> Iterator[Row]:
-    """A row a method and pair."""
+def _slam6d(bench: Bench, method: str, pair: tuple[int, int]) -> Row:
+    """The columns of a method and a pair of sweeps."""
     assert bench.data is not None
-    files = [bench.data / f"sweeps/3dtk/scan00{number}.3d.gz" for number in range(3)]
+    files = [bench.data / f"sweeps/3dtk/scan00{number}.3d.gz" for number in pair]
     sweeps = [read_sweep(file) for file in files]
     frames = [last_frame(file.with_name(file.name.replace(".3d.gz", ".frames"))) for file in files]
-    for method in METHODS:
-        config = SweepConfig(method=method, **SLAM6D_SETTINGS)
-        prepared = [prepare(entry.cloud, config) for entry in sweeps]
-        for i, j in ((0, 1), (1, 2)):
-            poses = [entry.T_map_file for entry in sweeps]
-            odometry = se3.inverse(poses[i]) @ poses[j]  # type: ignore[arg-type]
-            truth = se3.inverse(frames[i]) @ frames[j]
-            row: Row = {"method": method, "sweeps": f"{i}, {j}"}
-            off = odometry @ off_by(np.random.default_rng(0), *SLAM6D_OFF)
-            found = [match(prepared[j], prepared[i], start, config) for start in (odometry, off)]
-            for name, each in zip(("from .pose", "from 30 cm, 8 deg off"), found, strict=True):
-                metres, degrees = errors(each.T, truth)
-                row[name] = f"{100 * metres:.1f} cm, {degrees:.2f} deg ({each.quality})"
-            metres, degrees = errors(odometry, truth)
-            row["odometry itself"] = f"{100 * metres:.1f} cm, {degrees:.2f} deg"
-            own, slam6d = (1000 * apart(prepared[j], prepared[i], T) for T in (found[0].T, truth))
-            row["apart, mm"] = f"{own:.1f} (.frames {slam6d:.1f})"
-            yield row
+    config = SweepConfig(method=method, **SLAM6D_SETTINGS)
+    fixed, moving = (prepare(entry.cloud, config) for entry in sweeps)
+    odometry = se3.inverse(sweeps[0].T_map_file) @ sweeps[1].T_map_file  # type: ignore[arg-type]
+    truth = se3.inverse(frames[0]) @ frames[1]
+    row: Row = {}
+    off = odometry @ off_by(np.random.default_rng(0), *SLAM6D_OFF)
+    found = [match(moving, fixed, start, config) for start in (odometry, off)]
+    for name, each in zip(("from .pose", "from 30 cm, 8 deg off"), found, strict=True):
+        metres, degrees = errors(each.T, truth)
+        row[name] = f"{100 * metres:.1f} cm, {degrees:.2f} deg ({each.quality})"
+    metres, degrees = errors(odometry, truth)
+    row["odometry itself"] = f"{100 * metres:.1f} cm, {degrees:.2f} deg"
+    return row | judged(moving, fixed, found[0].T, truth, ".frames")
 
 
 def last_frame(file: Path) -> Float:
@@ -231,82 +320,92 @@ def last_frame(file: Path) -> Float:
 
 def ring_table(bench: Bench) -> Table:
     """Sweeps round a block, with and without loops."""
+    cases = list(itertools.product((True, False), bench.some(3)))
+    return Table("A ring of sweeps", RING_NOTE, {"": bench.each(_round_the_block, cases, table="ring")})
+
+
+def _round_the_block(bench: Bench, loops: bool, seed: int) -> Row:
     rectangles, stops = simulated.ring()
-    rows = []
-    for method, loops, seed in itertools.product(("gicp",), (True, False), bench.some(3)):
-        rng = np.random.default_rng(seed)
-        merger = SweepMerger(SweepConfig(method=method, loop_closure=loops))
-        driven = [np.eye(4)]
-        began = time.perf_counter()
-        for index, at in enumerate(stops):
-            if index:
-                driven.append(driven[-1] @ se3.inverse(stops[index - 1]) @ at @ off_by(rng, *RING_ODOMETRY))
-            merger.add(Cloud(sweep(rectangles, at, rng)), driven[-1])
-        poses = merger.poses()
-        off = [
-            1000 * errors(se3.inverse(poses[0]) @ pose, se3.inverse(stops[0]) @ at)[0]
-            for pose, at in zip(poses, stops, strict=True)
-        ]
-        odometry = errors(driven[-1], se3.inverse(stops[0]) @ stops[-1])
-        rows.append(
-            {
-                "loop closure": "on" if loops else "off",
-                "seed": seed,
-                "last to first, mm": f"{off[-1]:.1f}",
-                "largest, mm": f"{max(off):.1f}",
-                "odometry alone": f"{odometry[0]:.1f} m, {odometry[1]:.0f} deg",
-                "seconds": f"{time.perf_counter() - began:.1f}",
-            }
-        )
-    return Table("A ring of sweeps", RING_NOTE, {"": rows})
+    rng = np.random.default_rng(seed)
+    merger = SweepMerger(SweepConfig(method="gicp", loop_closure=loops))
+    driven = [np.eye(4)]
+    began = time.perf_counter()
+    for index, at in enumerate(stops):
+        if index:
+            driven.append(driven[-1] @ se3.inverse(stops[index - 1]) @ at @ off_by(rng, *RING_ODOMETRY))
+        merger.add(Cloud(sweep(rectangles, at, rng)), driven[-1])
+    poses = merger.poses()
+    off = [
+        1000 * errors(se3.inverse(poses[0]) @ pose, se3.inverse(stops[0]) @ at)[0]
+        for pose, at in zip(poses, stops, strict=True)
+    ]
+    odometry = errors(driven[-1], se3.inverse(stops[0]) @ stops[-1])
+    row = {
+        "loop closure": "on" if loops else "off",
+        "seed": seed,
+        "last to first, mm": f"{off[-1]:.1f}",
+        "largest, mm": f"{max(off):.1f}",
+        "odometry alone": f"{odometry[0]:.1f} m, {odometry[1]:.0f} deg",
+    }
+    return row | ({} if bench.jobs > 1 else {"seconds": f"{time.perf_counter() - began:.1f}"})
 
 
 def corridor_table(bench: Bench) -> Table:
     """What a bare corridor leaves open."""
-    rectangles = simulated.bare_corridor()
+    cases = list(itertools.product(METHODS, bench.some(CORRIDOR_PAIRS)))
+    results = bench.each(_along_the_corridor, cases, table="corridor")
     rows = []
     for method in METHODS:
-        along, across, odometry = [], [], []
-        said: Counter[str] = Counter()
-        for seed in bench.some(CORRIDOR_PAIRS):
-            rng = np.random.default_rng(seed)
-            first = stop(100.0, 1.2, rng.uniform(-30, 30))
-            second = stop(100.0 + CORRIDOR_STEP_M, rng.uniform(0.9, 1.5), rng.uniform(-30, 30))
-            truth = se3.inverse(first) @ second
-            guess = truth @ off_by(rng, *CORRIDOR_ODOMETRY)
-            found = matched(rectangles, first, second, guess, rng, method)
-            axis = first[0, :3]
-            off = found.T[:3, 3] - truth[:3, 3]
-            along.append(abs(float(axis @ (found.T[:3, 3] - guess[:3, 3]))))
-            odometry.append(abs(float(axis @ (guess[:3, 3] - truth[:3, 3]))))
-            across.append(float(np.linalg.norm(off - axis * (axis @ off))))
-            said[found.quality] += 1
+        of_method = [of for (name, _), of in zip(cases, results, strict=True) if name == method]
+        along, odometry, across, said = zip(*of_method, strict=True)
         rows.append(
             {
                 "method": method,
                 "along, from odometry, mm": f"{1000 * np.median(along):.1f}, at most {1000 * max(along):.1f}",
                 "odometry off along, mm": f"{1000 * np.median(odometry):.0f}, at most {1000 * max(odometry):.0f}",
                 "across, mm": f"{1000 * np.median(across):.1f}, at most {1000 * max(across):.1f}",
-                "said": ", ".join(f"{word}: {count}" for word, count in said.items()),
+                "said": ", ".join(f"{word}: {count}" for word, count in Counter(said).items()),
             }
         )
     return Table("A bare corridor", CORRIDOR_NOTE, {"": rows})
 
 
+def _along_the_corridor(bench: Bench, method: str, seed: int) -> tuple[float, float, float, str]:
+    """How far the match is along the axis from odometry, odometry from the truth; how far across; what was said."""
+    rng = np.random.default_rng(seed)
+    first = stop(100.0, 1.2, rng.uniform(-30, 30))
+    second = stop(100.0 + CORRIDOR_STEP_M, rng.uniform(0.9, 1.5), rng.uniform(-30, 30))
+    truth = se3.inverse(first) @ second
+    guess = truth @ off_by(rng, *CORRIDOR_ODOMETRY)
+    found = matched(simulated.bare_corridor(), first, second, guess, rng, method)
+    axis = first[0, :3]
+    off = found.T[:3, 3] - truth[:3, 3]
+    along = abs(float(axis @ (found.T[:3, 3] - guess[:3, 3])))
+    odometry = abs(float(axis @ (guess[:3, 3] - truth[:3, 3])))
+    return along, odometry, float(np.linalg.norm(off - axis * (axis @ off))), found.quality
+
+
 def rooms_table(bench: Bench) -> Table:
     """Rooms that do not overlap."""
+    methods = ("gicp", "paper")
+    cases = list(itertools.product(methods, bench.some(ROOM_PAIRS)))
+    results = bench.each(_in_two_rooms, cases, table="rooms")
     rows = []
-    for method in ("gicp", "paper"):
-        refused: Counter[str] = Counter()
-        for seed in bench.some(ROOM_PAIRS):
-            rng = np.random.default_rng(seed)
-            rectangles, (first, second) = simulated.two_rooms(rng)
-            by_odometry = se3.inverse(first) @ second @ off_by(rng, 0.3, 8.0)
-            for name, guess in (("from odometry", by_odometry), ("from the same place", np.eye(4))):
-                refused[name] += bool(matched(rectangles, first, second, guess, rng, method).refused)
-        pairs = len(bench.some(ROOM_PAIRS))
-        rows.append({"method": method, **{name: f"{count} of {pairs} refused" for name, count in refused.items()}})
+    for method in methods:
+        refused = [of for (name, _), of in zip(cases, results, strict=True) if name == method]
+        said = [f"{sum(column)} of {len(column)} refused" for column in zip(*refused, strict=True)]
+        rows.append({"method": method} | dict(zip(("from odometry", "from the same place"), said, strict=True)))
     return Table("Rooms that do not overlap", ROOMS_NOTE, {"": rows})
+
+
+def _in_two_rooms(bench: Bench, method: str, seed: int) -> tuple[bool, bool]:
+    """Whether two sweeps are refused from odometry, and from the guess that both were taken at the same place."""
+    rng = np.random.default_rng(seed)
+    rectangles, (first, second) = simulated.two_rooms(rng)
+    by_odometry = se3.inverse(first) @ second @ off_by(rng, 0.3, 8.0)
+    from_odometry = matched(rectangles, first, second, by_odometry, rng, method)
+    from_the_same_place = matched(rectangles, first, second, np.eye(4), rng, method)
+    return bool(from_odometry.refused), bool(from_the_same_place.refused)
 
 
 def matched(
@@ -337,7 +436,7 @@ TABLES: dict[str, Callable[[Bench], Table | None]] = {
     "beams": lambda bench: vertical_scans.beams_table(),
     "whole": lambda bench: vertical_scans.whole_table(bench.quick),
     "follow": lambda bench: vertical_scans.follow_table(),
-    "calibration": lambda bench: vertical_scans.calibration_table(bench.quick),
+    "calibration": vertical_scans.calibration_table,
     "sides": alog_table,
     "speed": lambda bench: vertical_scans.speed_table(bench.quick),
 }
@@ -349,10 +448,12 @@ Made by
 
     python benchmarks/registration.py --data FOLDER
 
-which takes a quarter of an hour; `--only TABLE` makes one of {", ".join(TABLES)} anew, `--quick` shows that all of
-it runs. The result is in `out/benchmarks/`; this page is copied from there. FOLDER holds
-`sweeps/pcl_room/room_scan*.pcd`, `sweeps/3dtk/scan00*` (the sample scans of 3DTK) and `vertical/QuadTree_Alog.alog.gz`
-(of the New College data set); without `--data` they are left out.
+which takes a quarter of an hour; `--only TABLE` makes one of
+{", ".join(TABLES)} anew,
+`--quick` shows that all of it runs, and `--jobs N` does N cases at once, of which it does not say the time. The result
+is in `out/benchmarks/`; this page is copied from there. FOLDER holds `sweeps/pcl_room/room_scan*.pcd`,
+`sweeps/3dtk/scan00*` (the sample scans of 3DTK) and `vertical/QuadTree_Alog.alog.gz` (of the New College data set);
+without `--data` they are left out.
 """
 
 
@@ -364,12 +465,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--only", nargs="+", choices=TABLES, default=list(TABLES), metavar="TABLE", help=", ".join(TABLES)
     )
     parser.add_argument("--quick", action="store_true", help="two of each only, to see that it runs")
+    parser.add_argument("--jobs", type=int, default=1, help="so many cases at once; their time is not told then")
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks"))
     given = parser.parse_args(arguments)
     logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     log.setLevel(logging.INFO)
     given.out.mkdir(parents=True, exist_ok=True)
-    bench = Bench(given.data, given.quick, given.out)
+    bench = Bench(given.data, given.quick, given.out, given.jobs)
     for name in given.only:
         table = TABLES[name](bench)
         if table is None:

@@ -5,18 +5,25 @@
 from __future__ import annotations
 
 import json
+import logging
+import multiprocessing
 import os
 import platform
 import re
 import resource
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+log = logging.getLogger("benchmarks")
+
 Row = dict[str, Any]
+
+_ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,18 +51,60 @@ class Table:
 
 
 def save(path: Path, table: Table) -> None:
-    """Keep a table, with the machine that it was made on, as JSON: whole or, where it is cut off, as it was before."""
+    """Keep a table, with the machine that it was made on, as JSON: whole or, where it is cut off, as it was before.
+
+    Its single results are not needed any more then.
+    """
     part = path.with_suffix(".part")
     part.write_text(json.dumps({"machine": machine(), "table": asdict(table)}, indent=1) + "\n")
     part.replace(path)
+    results_of(path).unlink(missing_ok=True)
+
+
+def results_of(path: Path) -> Path:
+    """Where the results of single cases are while the table of a JSON file is being made."""
+    return path.with_suffix(".partial.jsonl")
+
+
+def each(function: Callable[..., Any], cases: Iterable[tuple[Any, ...]], *, jobs: int, table: Path) -> list[Any]:
+    """What a function makes of each case, its arguments, in their order; with several jobs in processes of one thread.
+
+    The function is one of a module, or a partial of one, so that another process finds it; what it returns can be JSON.
+    Each result is kept beside the JSON file of the table as soon as it is there, lest an interruption lose all.
+    """
+    cases = list(cases)
+    results: list[Any] = [None] * len(cases)
+    kept = results_of(table)
+
+    def keep(index: int, result: Any) -> None:
+        results[index] = result
+        shown = [str(part) for part in cases[index]]
+        with kept.open("a") as file:
+            file.write(json.dumps([shown, result]) + "\n")
+        log.info("%s: %s", table.stem, ", ".join(shown))
+
+    if jobs <= 1:
+        for index, case in enumerate(cases):
+            keep(index, function(*case))
+        return results
+    os.environ.update(_ONE_THREAD)
+    # Threads of Numba do not live on in a process that is forked.
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        places = {pool.submit(function, *case): index for index, case in enumerate(cases)}
+        for done in as_completed(places):
+            keep(places[done], done.result())
+    return results
 
 
 def page(head: str, paths: Iterable[Path]) -> str:
     """Those of the tables in JSON files that are there, as one page under a head."""
     read = [json.loads(path.read_text()) for path in paths if path.exists()]
-    where = sorted({entry["machine"] for entry in read})
+    made: dict[str, list[str]] = {}
+    for entry in read:
+        made.setdefault(entry["machine"], []).append(entry["table"]["title"])
+    here = [machine + (f" ({', '.join(titles)})" if len(made) > 1 else "") for machine, titles in sorted(made.items())]
     tables = [Table(**entry["table"]).markdown() for entry in read]
-    return "\n".join([head, f"Here: {'; '.join(where)}.\n", *tables]).rstrip() + "\n"
+    return "\n".join([head, f"Here: {'; '.join(here)}.\n", *tables]).rstrip() + "\n"
 
 
 def machine() -> str:

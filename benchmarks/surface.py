@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All tables of docs/benchmarks.md: how good, fast and large the meshes are, ours beside those of other programs.
 
-Usage: python benchmarks/surface.py [--data FOLDER] [--only TABLE ...] [--clouds NAME ...] [--quick]
-       [--out FOLDER] [--peers-python PYTHON]
+Usage: python benchmarks/surface.py [--data FOLDER] [--only TABLE ...] [--clouds NAME ...] [--ours] [--quick]
+       [--jobs N] [--out FOLDER] [--peers-python PYTHON]
 
 Writes benchmarks.md, a JSON file a table and pictures to the folder. benchmarks.md is put together from all tables that
 lie there, so that one can be made anew. Programs that are not installed are left out, and named.
@@ -15,10 +15,11 @@ import argparse
 import functools
 import gzip
 import io
+import itertools
 import logging
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,6 @@ import numpy as np
 import peers
 import random_floors
 import report
-import trimesh
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -40,7 +40,7 @@ from g2_recon import pictures
 from g2_recon.config import ReconstructionConfig, RegistrationConfig, SimulationConfig
 from g2_recon.evaluation.surface import sample_surface, score_surface, topology
 from g2_recon.geometry.cloud import Cloud, concatenate
-from g2_recon.geometry.mesh import TrueSurface
+from g2_recon.geometry.mesh import Mesh, TrueSurface
 from g2_recon.reconstruction.reconstructor import reconstruct
 from g2_recon.recording.clouds import read_cloud
 from g2_recon.registration.registrar import Registrar
@@ -68,11 +68,15 @@ process."""
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """What all tables need. clouds: for table peers, empty for all. methods: those installed."""
+    """What all tables need. clouds: for table peers, empty for all. methods: those installed and asked for.
+
+    jobs: how many meshes are made at once; with more than one, what a mesh costs is not said.
+    """
 
     data: Path | None
     out: Path
     quick: bool
+    jobs: int
     clouds: tuple[str, ...]
     peers_python: str
     methods: tuple[peers.Method, ...]
@@ -84,24 +88,39 @@ class Bench:
         path = self.data.joinpath(*parts) if self.data else None
         return path if path and path.exists() else None
 
+    @property
+    def workers(self) -> int:
+        """Threads for one mesh, 0 for one a core."""
+        return 1 if self.jobs > 1 else 0
+
+    def settings(self, *, spacing: float = 0.2, seed: int = 0) -> ReconstructionConfig:
+        """Ours at the defaults."""
+        return ReconstructionConfig(spacing=spacing, seed=seed, workers=self.workers)
+
+    def each(self, function: Callable[..., Any], cases: Iterable[tuple[Any, ...]], *, table: str) -> list[Any]:
+        """What a function makes of this and each case, in their order, as many at once as jobs."""
+        function = functools.partial(function, self)
+        return report.each(function, cases, jobs=self.jobs, table=self.out / f"{table}.json")
+
     def mesh_of(
         self, method: peers.Method, cloud: Cloud, *, spacing: float = 0.2, repeats: int = 1
     ) -> tuple[NDArray[np.float64], NDArray[np.int64], dict[str, Any]]:
         """Vertices, faces, and seconds and memory of a method in a process of its own."""
-        points, mesh = self.scratch / "cloud.npz", self.scratch / "mesh.npz"
-        np.savez(points, points=cloud.points, **({} if cloud.sensor is None else {"sensor": cloud.sensor}))
         python = sys.executable if method.name == peers.OURS else self.peers_python
-        cost = peers.call(python, method.name, points, mesh, "--spacing", spacing, "--repeats", repeats)
-        made = np.load(mesh)
-        return made["vertices"].astype(float), made["faces"].astype(np.int64), cost
+        with tempfile.TemporaryDirectory(dir=self.scratch) as folder:
+            points, mesh = Path(folder, "cloud.npz"), Path(folder, "mesh.npz")
+            np.savez(points, points=cloud.points, **({} if cloud.sensor is None else {"sensor": cloud.sensor}))
+            cost = peers.call(python, method.name, points, mesh, "--spacing", spacing, "--repeats", repeats)
+            made = np.load(mesh)
+            return made["vertices"].astype(float), made["faces"].astype(np.int64), cost
 
     def crossings(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> str:
         """MeshLab's count of faces that cross others, in parentheses; nothing where it is not installed."""
         if not self.has_meshlab:
             return ""
-        mesh = self.scratch / "crossings.npz"
-        np.savez(mesh, vertices=vertices, faces=faces)
-        return f" ({peers.call(self.peers_python, 'crossings', mesh, mesh)['crossings']:,})"
+        with tempfile.NamedTemporaryFile(dir=self.scratch, suffix=".npz") as mesh:
+            np.savez(mesh.name, vertices=vertices, faces=faces)
+            return f" ({peers.call(self.peers_python, 'crossings', mesh.name, mesh.name)['crossings']:,})"
 
 
 def truth_of(scanned: clouds.Scanned) -> TrueSurface:
@@ -123,7 +142,7 @@ def load(path: Path) -> clouds.Scanned:
 
 def figures(bench: Bench, scanned: clouds.Scanned, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Row:
     """The columns about a mesh."""
-    score = score_surface(truth_of(scanned), vertices, faces, workers=0)
+    score = score_surface(truth_of(scanned), vertices, faces, workers=bench.workers)
     at_5, at_2 = score.at
     return {
         "faces": f"{len(faces):,}",
@@ -164,6 +183,11 @@ def shared(bench: Bench, names: Sequence[str] = SHARED) -> dict[str, Callable[[]
     return {name: functools.partial(load, path) for name, path in paths.items() if path}
 
 
+def sources_of(bench: Bench) -> dict[str, Callable[[], clouds.Scanned]]:
+    """The clouds in --data and those that are made here."""
+    return shared(bench) | generated()
+
+
 def ours() -> peers.Method:
     """The method that is g2_recon."""
     return peers.METHODS[peers.OURS]
@@ -171,45 +195,40 @@ def ours() -> peers.Method:
 
 def table_peers(bench: Bench) -> Table:
     """Ours beside other programs on all clouds."""
+    names = ("offices_half", "two cubes") if bench.quick else tuple(sources_of(bench))
+    names = tuple(name for name in names if not bench.clouds or name in bench.clouds)
+    cases = [(name, method.name) for name in names for method in bench.methods]
     sections: dict[str, list[Row]] = {}
-    sources = shared(bench) | generated()
-    if bench.quick:
-        sources = {"offices_half": functools.partial(clouds.make, "offices_half"), "two cubes": clouds.two_cubes}
-    for name, made in sources.items():
-        if bench.clouds and name not in bench.clouds:
-            continue
-        scanned = made()
-        rows = sections[f"{name}: {len(scanned.points):,} points"] = []
-        for method in bench.methods:
-            log.info("peers: %s, %s", name, method.name)
-            spacing = SPACINGS.get(name, 0.2)
-            try:
-                repeats = 3 if method.name == peers.OURS else 1
-                vertices, faces, cost = bench.mesh_of(method, scanned.cloud(), spacing=spacing, repeats=repeats)
-                row = cost_of(cost) | figures(bench, scanned, vertices, faces)
-            except RuntimeError as error:
-                row = {"s": f"failed: {error}"}
-            rows.append({"method": method.name} | row)
+    for (name, _), (points, row) in zip(cases, bench.each(_beside, cases, table="peers"), strict=True):
+        sections.setdefault(f"{name}: {points:,} points", []).append(row)
     left_out = [name for name, method in peers.METHODS.items() if method not in bench.methods]
     note = f"{ACCURACY_NOTE} g2_recon at its defaults, but a spacing of 12 cm for clouds of things of 1 m."
     if left_out:
-        note += f"\n\nNot installed here and left out: {'; '.join(left_out)}."
+        note += f"\n\nNot installed here, or left out: {'; '.join(left_out)}."
     return Table("Beside other programs", note, sections)
+
+
+def _beside(bench: Bench, name: str, method: str) -> tuple[int, Row]:
+    """The number of points of a cloud, and the row of a method."""
+    scanned = clouds.make(name) if name.startswith("offices_") else sources_of(bench)[name]()
+    spacing = SPACINGS.get(name, 0.2)
+    try:
+        repeats = 3 if method == peers.OURS and bench.jobs == 1 else 1
+        vertices, faces, cost = bench.mesh_of(peers.METHODS[method], scanned.cloud(), spacing=spacing, repeats=repeats)
+        row = ({} if bench.jobs > 1 else cost_of(cost)) | figures(bench, scanned, vertices, faces)
+    except RuntimeError as error:
+        row = {"s": f"failed: {error}"}
+    return len(scanned.points), {"method": method} | row
 
 
 def table_robustness(bench: Bench) -> Table:
     """Ours on other noise, sampling and poses."""
-    sections: dict[str, list[Row]] = {}
     variants = ("s3", "out") if bench.quick else ("", *clouds.VARIANTS)
-    for building in ("offices",) if bench.quick else ("offices", "hall", "corridor"):
-        rows = sections[building] = []
-        for variant in variants:
-            name = f"{building}_{variant}" if variant else building
-            log.info("robustness: %s", name)
-            scanned = clouds.make(name)
-            result = reconstruct(scanned.cloud(), ReconstructionConfig()).mesh
-            row = figures(bench, scanned, result.vertices, result.faces)
-            rows.append({"cloud": name, "points": f"{len(scanned.points):,}"} | row)
+    buildings = ("offices",) if bench.quick else ("offices", "hall", "corridor")
+    cases = [(f"{building}_{variant}" if variant else building,) for building in buildings for variant in variants]
+    sections: dict[str, list[Row]] = {}
+    for (name,), row in zip(cases, bench.each(_of_name, cases, table="robustness"), strict=True):
+        sections.setdefault(name.split("_")[0], []).append({"cloud": name} | row)
     note = (
         "Names as in `benchmarks/clouds.py`: s05, s2, s3: noise of 0.5, 2, 3 cm instead of 1 cm; out: 1 % of the beams "
         "cut short by something in the air, and mixed pixels; drift: poses up to 5 cm and 0.5 deg off; half, double: a "
@@ -219,19 +238,27 @@ def table_robustness(bench: Bench) -> Table:
     return Table("Noise, sampling, poses", note, sections)
 
 
+def _of_name(bench: Bench, name: str) -> Row:
+    return _at_defaults(bench, clouds.make(name))
+
+
+def _at_defaults(bench: Bench, scanned: clouds.Scanned) -> Row:
+    """Number of points, and the columns about our mesh."""
+    mesh = reconstruct(scanned.cloud(), bench.settings()).mesh
+    return {"points": f"{len(scanned.points):,}"} | figures(bench, scanned, mesh.vertices, mesh.faces)
+
+
 def table_buildings(bench: Bench) -> Table:
     """Ours in other buildings."""
-    known = {name: functools.partial(clouds.make, name) for name in clouds.BUILDINGS} | {"simulated": simulated}
-    chance = {f"floor {seed}": functools.partial(random_floors.make, seed) for seed in FLOORS}
-    sections: dict[str, list[Row]] = {}
-    for title, sources in (("Buildings of several kinds", known), ("Floors at random", chance)):
-        rows = sections[title] = []
-        for name, made in list(sources.items())[: 1 if bench.quick else None]:
-            log.info("buildings: %s", name)
-            scanned = made()
-            mesh = reconstruct(scanned.cloud(), ReconstructionConfig()).mesh
-            row = figures(bench, scanned, mesh.vertices, mesh.faces)
-            rows.append({"building": name, "points": f"{len(scanned.points):,}"} | row)
+    kinds = {
+        "Buildings of several kinds": [*clouds.BUILDINGS, "simulated"],
+        "Floors at random": [f"floor {seed}" for seed in FLOORS],
+    }
+    cases = [(name,) for names in kinds.values() for name in names[: 1 if bench.quick else None]]
+    rows = dict(zip((name for (name,) in cases), bench.each(_of_building, cases, table="buildings"), strict=True))
+    sections = {
+        title: [{"building": name} | rows[name] for name in names if name in rows] for title, names in kinds.items()
+    }
     note = (
         "Of `benchmarks/clouds.py`: offices, with walls of 10 cm seen from both faces, niches, columns, furniture; "
         "hall, 4 m high, with columns, beams, a gallery; corridor, with steps, a duct, a parapet; slanted, with walls "
@@ -241,6 +268,13 @@ def table_buildings(bench: Bench) -> Table:
         "1 cm. Columns as above."
     )
     return Table("Other buildings", note, sections)
+
+
+def _of_building(bench: Bench, name: str) -> Row:
+    if name == "simulated":
+        return _at_defaults(bench, simulated())
+    kind, *seed = name.split()
+    return _at_defaults(bench, random_floors.make(int(seed[0])) if seed else clouds.make(kind))
 
 
 def simulated() -> clouds.Scanned:
@@ -262,35 +296,39 @@ _STEADY = ("F5", "F2", "acc", "comp", "normals", "faces", "loops", "cross")
 
 def table_steadiness(bench: Bench) -> Table:
     """Ours with other seeds, on turned and on shuffled clouds."""
+    names = [*shared(bench, ("floor_rot",)), *(("offices_half",) if bench.quick else ("offices", "hall"))]
+    variants: dict[str, Sequence[Any]] = {
+        "seeds": SEEDS[:3] if bench.quick else SEEDS,
+        "rotations": TURNS[:2] if bench.quick else TURNS,
+        "orders of points": range(2 if bench.quick else 4),
+    }
+    cases = [(name, kind, which) for name in names for kind, all_of in variants.items() for which in all_of]
+    results = bench.each(_steady, cases, table="steadiness")
     sections: dict[str, list[Row]] = {}
-    sources = [(name, made()) for name, made in shared(bench, ("floor_rot",)).items()]
-    sources += [(name, clouds.make(name)) for name in (("offices_half",) if bench.quick else ("offices", "hall"))]
-    for name, scanned in sources:
-        runs = {
-            "seeds": [(scanned, seed) for seed in (SEEDS[:3] if bench.quick else SEEDS)],
-            "rotations": [(turned(scanned, turn), 0) for turn in (TURNS[:2] if bench.quick else TURNS)],
-            "orders of points": [(shuffled(scanned, seed), 0) for seed in range(2 if bench.quick else 4)],
-        }
-        rows = sections[name] = []
-        for kind, cases in runs.items():
-            log.info("steadiness: %s, %s", name, kind)
-            numbers = np.array([_steady(case, seed) for case, seed in cases])
-            # More is better for F-scores and normals, less for the others.
-            more = np.array([column in ("F5", "F2", "normals") for column in _STEADY])
-            for what, values in (
-                ("mean", numbers.mean(axis=0)),
-                ("worst", np.where(more, numbers.min(axis=0), numbers.max(axis=0))),
-                ("largest - smallest", np.ptp(numbers, axis=0)),
-            ):
-                shown = {c: f"{v:.4g}" if c != "faces" else f"{v:.0f}" for c, v in zip(_STEADY, values, strict=True)}
-                rows.append({"of": f"{len(cases)} {kind}", "": what} | shown)
+    for name, (kind, all_of) in itertools.product(names, variants.items()):
+        numbers = np.array([of for case, of in zip(cases, results, strict=True) if case[:2] == (name, kind)])
+        # More is better for F-scores and normals, less for the others.
+        more = np.array([column in ("F5", "F2", "normals") for column in _STEADY])
+        for what, values in (
+            ("mean", numbers.mean(axis=0)),
+            ("worst", np.where(more, numbers.min(axis=0), numbers.max(axis=0))),
+            ("largest - smallest", np.ptp(numbers, axis=0)),
+        ):
+            shown = {c: f"{v:.4g}" if c != "faces" else f"{v:.0f}" for c, v in zip(_STEADY, values, strict=True)}
+            sections.setdefault(name, []).append({"of": f"{len(all_of)} {kind}", "": what} | shown)
     note = "acc and comp: means in cm; cross: share of faces in %, as counted here; the rest as above."
     return Table("Seeds, rotations, order of points", note, sections)
 
 
-def _steady(scanned: clouds.Scanned, seed: int) -> list[float]:
-    mesh = reconstruct(scanned.cloud(), ReconstructionConfig(seed=seed)).mesh
-    score = score_surface(truth_of(scanned), mesh.vertices, mesh.faces, workers=0)
+def _steady(bench: Bench, name: str, kind: str, which: Any) -> list[float]:
+    """The figures of _STEADY for a seed, a rotation or an order of points."""
+    scanned = (shared(bench, (name,)) or {name: functools.partial(clouds.make, name)})[name]()
+    if kind == "rotations":
+        scanned = turned(scanned, which)
+    elif kind == "orders of points":
+        scanned = shuffled(scanned, which)
+    mesh = reconstruct(scanned.cloud(), bench.settings(seed=which if kind == "seeds" else 0)).mesh
+    score = score_surface(truth_of(scanned), mesh.vertices, mesh.faces, workers=bench.workers)
     return [
         *(100 * at.f_score for at in score.at),
         100 * score.accuracy,
@@ -319,16 +357,15 @@ def shuffled(scanned: clouds.Scanned, seed: int) -> clouds.Scanned:
 
 def table_fine(bench: Bench) -> Table:
     """Small things, at a spacing of 12 cm."""
-    rows = []
-    sources = shared(bench) | generated()
-    for name in SPACINGS:
-        if name not in sources:
-            continue
-        log.info("fine: %s", name)
-        scanned = sources[name]()
-        vertices, faces, cost = bench.mesh_of(ours(), scanned.cloud(), spacing=0.12, repeats=3)
-        rows.append({"cloud": name} | cost_of(cost) | figures(bench, scanned, vertices, faces))
+    cases = [(name,) for name in SPACINGS if name in sources_of(bench)]
+    rows = [{"cloud": name} | row for (name,), row in zip(cases, bench.each(_fine, cases, table="fine"), strict=True)]
     return Table("Cubes and curved solids, spacing 12 cm", "Columns as above.", {"": rows})
+
+
+def _fine(bench: Bench, name: str) -> Row:
+    scanned = sources_of(bench)[name]()
+    vertices, faces, cost = bench.mesh_of(ours(), scanned.cloud(), spacing=SPACINGS[name], repeats=3)
+    return ({} if bench.jobs > 1 else cost_of(cost)) | figures(bench, scanned, vertices, faces)
 
 
 def table_growth(bench: Bench) -> Table:
@@ -384,38 +421,50 @@ def draw_growth(path: Path, counts: Sequence[int], seconds: Sequence[float], pea
 
 def table_files(bench: Bench) -> Table:
     """Meshes of others, sampled with noise, and real scans of a room."""
-    solids, rooms, drawn = [], [], {}
-    for name in ("stanford-bunny", "fandisk", "rocker-arm"):
-        path = bench.shared("meshes", f"{name}.obj.gz")
-        if path:
-            log.info("files: %s", name)
-            scanned = sampled(path, count=100_000)
-            drawn[name] = mesh = reconstruct(scanned.cloud(), ReconstructionConfig(spacing=0.1)).mesh
-            row = figures(bench, scanned, mesh.vertices, mesh.faces)
-            solids.append({"mesh": name, "points": f"{len(scanned.points):,}"} | row)
-    for name in ("room_scan1", "room_scan2"):
-        path = bench.shared("sweeps", "pcl_room", f"{name}.pcd")
-        if path:
-            log.info("files: %s", name)
-            cloud = read_cloud(path)
-            result = reconstruct(cloud, ReconstructionConfig())
-            drawn[name] = mesh = result.mesh
-            row = {"faces": f"{len(mesh.faces):,}"} | soundness(bench, mesh.vertices, mesh.faces)
-            rooms.append({"scan": name, "points": f"{len(cloud):,}", "of them used": f"{result.points:,}"} | row)
+    meshes = {name: bench.shared("meshes", f"{name}.obj.gz") for name in ("stanford-bunny", "fandisk", "rocker-arm")}
+    scans = {name: bench.shared("sweeps", "pcl_room", f"{name}.pcd") for name in ("room_scan1", "room_scan2")}
+    cases = [(path,) for path in (*meshes.values(), *scans.values()) if path]
+    if not cases:
+        return Table("Meshes and scans from files", "Not made: this needs --data.", {})
+    with tempfile.TemporaryDirectory(dir=bench.scratch) as folder:
+        made = functools.partial(_of_file, folder=Path(folder))
+        rows = dict(zip((path for (path,) in cases), bench.each(made, cases, table="files"), strict=True))
+        drawn = {name: path for name, path in (meshes | scans).items() if path}
+        found = [Mesh(**np.load(Path(folder) / f"{path.name}.npz")) for path in drawn.values()]
+    pictures.draw_meshes(bench.out / "files.png", found, list(drawn))
     note = (
         "Meshes scaled to a diagonal of 10 m, sampled evenly with normal noise of 1 cm (0.1 %), without sensor "
         "positions, at a spacing of 10 cm; then two real scans of a room, at the defaults. Columns as above; of the "
         "room no truth is known. The bunny is from the Stanford 3D Scanning Repository, the room from the Point Cloud "
         "Library."
     )
-    if not drawn:
-        return Table("Meshes and scans from files", "Not made: this needs --data.", {})
-    pictures.draw_meshes(bench.out / "files.png", list(drawn.values()), list(drawn))
-    return Table("Meshes and scans from files", note, {"Sampled meshes": solids, "Room": rooms}, ["files.png"])
+    sections = {
+        "Sampled meshes": [{"mesh": name} | rows[path] for name, path in meshes.items() if path],
+        "Room": [{"scan": name} | rows[path] for name, path in scans.items() if path],
+    }
+    return Table("Meshes and scans from files", note, sections, ["files.png"])
+
+
+def _of_file(bench: Bench, path: Path, *, folder: Path) -> Row:
+    """The columns about our mesh of a packed mesh or of a scan; the mesh itself goes to a folder."""
+    if path.suffix == ".gz":
+        scanned = sampled(path, count=100_000)
+        mesh = reconstruct(scanned.cloud(), bench.settings(spacing=0.1)).mesh
+        row = {"points": f"{len(scanned.points):,}"} | figures(bench, scanned, mesh.vertices, mesh.faces)
+    else:
+        cloud = read_cloud(path)
+        result = reconstruct(cloud, bench.settings())
+        mesh = result.mesh
+        row = {"points": f"{len(cloud):,}", "of them used": f"{result.points:,}", "faces": f"{len(mesh.faces):,}"}
+        row |= soundness(bench, mesh.vertices, mesh.faces)
+    np.savez(folder / f"{path.name}.npz", vertices=mesh.vertices, faces=mesh.faces, submap=mesh.submap)
+    return row
 
 
 def sampled(path: Path, count: int) -> clouds.Scanned:
     """Points evenly on a mesh in a packed OBJ file, made 10 m large, with 1 cm of noise."""
+    import trimesh
+
     mesh = trimesh.load(io.BytesIO(gzip.decompress(path.read_bytes())), file_type="obj", process=False, force="mesh")
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
     vertices = vertices * 10 / np.linalg.norm(np.ptp(vertices, axis=0))
@@ -446,8 +495,9 @@ Made by
     python benchmarks/surface.py --data FOLDER
 
 which takes about an hour. `--only TABLE` makes one of {names} anew;
-`--quick` shows in a few minutes that all of it runs. The result is in `out/benchmarks/`; this page and its pictures are
-copied from there.
+`--quick` shows in a few minutes that all of it runs, `--jobs N` makes N meshes at once, of which it does not say time
+and memory, and `--ours` leaves the other programs out. The result is in `out/benchmarks/`; this page and its pictures
+are copied from there.
 `pip install open3d pymeshlab` brings the other programs; where they have an environment of their own, `--peers-python`
 names its Python. FOLDER holds `surfaces/` with clouds and their truth (NPZ, as `benchmarks/clouds.py` writes them),
 `meshes/` and `sweeps/pcl_room/`; without `--data` only the clouds are used that `benchmarks/clouds.py` makes: buildings
@@ -465,6 +515,8 @@ def main() -> None:
     )
     parser.add_argument("--quick", action="store_true", help="few and small clouds, to see that it runs")
     parser.add_argument("--clouds", nargs="+", default=(), metavar="NAME", help="table peers of these clouds only")
+    parser.add_argument("--ours", action="store_true", help="table peers with our rows only")
+    parser.add_argument("--jobs", type=int, default=1, help="so many meshes at once; time and memory are not told then")
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks"))
     parser.add_argument("--peers-python", default=sys.executable, help="the Python that has open3d and pymeshlab")
     given = parser.parse_args()
@@ -477,9 +529,10 @@ def main() -> None:
             data=given.data,
             out=given.out,
             quick=given.quick,
+            jobs=given.jobs,
             clouds=tuple(given.clouds),
             peers_python=given.peers_python,
-            methods=tuple(method for method in peers.METHODS.values() if installed[method.needs]),
+            methods=(ours(),) if given.ours else tuple(m for m in peers.METHODS.values() if installed[m.needs]),
             has_meshlab=installed["pymeshlab"],
             scratch=Path(scratch),
         )

@@ -9,9 +9,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Protocol
 
 import moos
 import numpy as np
@@ -264,43 +265,61 @@ def follow_table() -> Table:
     return Table("Clouds that follow closed loops", FOLLOW_NOTE, {"": rows})
 
 
-def calibration_table(quick: bool) -> Table:
+class Cases(Protocol):
+    """What a table of many cases needs of registration.Bench."""
+
+    def some(self, count: int) -> range:
+        """So many, or a few."""
+
+    def each(self, function: Callable[..., Any], cases: Iterable[tuple[Any, ...]], *, table: str) -> list[Any]:
+        """What a function makes of this and each case, in their order."""
+
+
+def calibration_table(bench: Cases) -> Table:
     """How well the mounting pose is found."""
-    room, floor = simulated_sweeps.furnished_room(), surfaces(first_floor())
+    drives_of = tuple(_calibration_drives())
+    cases = [(name, seed) for name in drives_of for seed in bench.some(CALIBRATION_SEEDS)]
+    results = bench.each(_calibrated, cases, table="calibration")
     rows = []
-    for name, rectangles, legs, every in (
-        ("room", room, drives.ROOM_LEGS, 13),
-        ("first floor", floor, FULL_TOUR, 26),
-    ):
-        errors, inside, worst = [], 0, np.zeros(2)
-        seeds = range(1 if quick else CALIBRATION_SEEDS)
-        for seed in seeds:
-            rng = np.random.default_rng(seed)
-            truth = drives.mount(rng)
-            found = drives.vertical_drive(rectangles, legs, truth, seed, every=every)
-            start = drives.off_by(truth, rng, START_M, START_DEG)
-            known = drives.as_localized(found.trajectory, seed)
-            result = calibrate(found.scans, known, start, RegistrationConfig())
-            off = drives.error(result.T_base_laser, truth)
-            axes = np.flatnonzero(result.sigma < 0.02)
-            errors.append(np.where(np.isin(np.arange(6), axes), off, np.nan))
-            score = off[axes] @ np.linalg.solve(result.covariance[np.ix_(axes, axes)], off[axes])
-            inside += bool(score < chi2.ppf(0.95, len(axes)))
-        off = np.abs(np.array(errors))
-        worst = 100 * np.nanmax(off[:, :3]), np.degrees(np.nanmax(off[:, 3:]))
+    for name in drives_of:
+        found = [of for case, of in zip(cases, results, strict=True) if case[0] == name]
+        off = np.abs(np.array([errors for errors, _ in found]))
         rows.append(
             {
                 "drive": name,
-                "drives": len(seeds),
-                "largest, cm": f"{worst[0]:.2f}",
-                "largest, deg": f"{worst[1]:.3f}",
+                "drives": len(found),
+                "largest, cm": f"{100 * np.nanmax(off[:, :3]):.2f}",
+                "largest, deg": f"{np.degrees(np.nanmax(off[:, 3:])):.3f}",
                 "median, cm": f"{100 * np.nanmedian(off[:, :3]):.2f}",
                 "median, deg": f"{np.degrees(np.nanmedian(off[:, 3:])):.3f}",
-                "within 95 %": f"{inside} of {len(seeds)}",
-                "height observed": f"{int(np.isfinite(off[:, 2]).sum())} of {len(seeds)}",
+                "within 95 %": f"{sum(inside for _, inside in found)} of {len(found)}",
+                "height observed": f"{int(np.isfinite(off[:, 2]).sum())} of {len(found)}",
             }
         )
     return Table("Calibration of the vertical laser", CALIBRATION_NOTE, {"": rows})
+
+
+def _calibration_drives() -> dict[str, tuple[Rectangles, drives.Legs, int]]:
+    """What is driven through and how; of the scans, one in how many is kept."""
+    return {
+        "room": (simulated_sweeps.furnished_room(), drives.ROOM_LEGS, 13),
+        "first floor": (surfaces(first_floor()), FULL_TOUR, 26),
+    }
+
+
+def _calibrated(bench: Cases, name: str, seed: int) -> tuple[list[float], bool]:
+    """Errors (6,) in m and rad, NaN where the axis is not observed, and whether they are within the region of 95 %."""
+    rectangles, legs, every = _calibration_drives()[name]
+    rng = np.random.default_rng(seed)
+    truth = drives.mount(rng)
+    found = drives.vertical_drive(rectangles, legs, truth, seed, every=every)
+    start = drives.off_by(truth, rng, START_M, START_DEG)
+    result = calibrate(found.scans, drives.as_localized(found.trajectory, seed), start, RegistrationConfig())
+    off = drives.error(result.T_base_laser, truth)
+    axes = np.flatnonzero(result.sigma < 0.02)
+    score = off[axes] @ np.linalg.solve(result.covariance[np.ix_(axes, axes)], off[axes])
+    observed = np.where(np.isin(np.arange(6), axes), off, np.nan)
+    return observed.tolist(), bool(score < chi2.ppf(0.95, len(axes)))
 
 
 def alog_table(data: Path, out: Path) -> Table:
