@@ -43,7 +43,7 @@ def joined(fixed: Session, moving: Session, T_fixed_moving: Float, found: Int) -
         graph.close(c)
     graph.optimize()
     loops, information = graph.credible()
-    poses = graph.carried_along(both.poses, before)
+    poses = graph.carried_along(both.poses, before, both.broken)
     return replace(both, poses=poses, loops=loops, loop_information=information)
 
 

@@ -280,7 +280,7 @@ class Localizer:
     def _follow(self, before: Float) -> None:
         """Move the keyframes as the local maps were moved from their poses (C, 3) before."""
         poses = self._keyframes.poses
-        poses[:] = self._loops.carried_along(poses, before)
+        poses[:] = self._loops.carried_along(poses, before, np.array(self._broken))
         self._tracker.moved()
 
     def session(self) -> Session:
@@ -411,6 +411,7 @@ class Localizer:
     def _close_more_loops(self, progress: Progress) -> None:
         """Once all is in place, more places turn out to be the same ones."""
         new = self._finish_local_map()
+        self._loops.take_poses(self._keyframes)
         before = self._loops.poses.copy()
         if new is not None:
             self._loops.close(new)

@@ -124,7 +124,7 @@ class LoopCloser:
         drift: covariance (3, 3) of its reference keyframe as seen from that of the local map before. All poses used
         from now on are those of `keyframes`.
         """
-        self._keyframes = keyframes
+        self.take_poses(keyframes)
         poses = self._keyframes.poses
         reference = (first + last) // 2
         query = self._cloud(first, last, poses[reference], _QUERY_RANGE_M, _QUERY_CELL_M)
@@ -141,6 +141,11 @@ class LoopCloser:
         self.maps.append(new)
         self.poses = np.vstack([self.poses, poses[reference]])
         return len(self.maps) - 1
+
+    def take_poses(self, keyframes: Keyframes) -> None:
+        """Local maps are where their keyframes are now, which have been smoothed since loops moved them."""
+        self._keyframes = keyframes
+        self.poses = keyframes.poses[[local.reference for local in self.maps]]
 
     def resume(
         self,
@@ -167,14 +172,27 @@ class LoopCloser:
                 self._sequence[c - 1] = (se2.relative(self.poses[c - 1], self.poses[c]), information)
                 self._drifts[c - 1] = np.linalg.inv(information)
 
-    def carried_along(self, poses: Float, before: Float) -> Float:
+    def carried_along(self, poses: Float, before: Float, broken: NDArray[np.bool_]) -> Float:
         """Poses (N, 3) of all keyframes, moved as the local maps were from their poses (C, 3) before.
 
-        Keyframes after the last local map move with it.
+        From the reference of one local map to that of the next, keyframes move less and less with the one and more and
+        more with the other, so that the way does not tear between them; unless it is broken (N,): where track was lost
+        on the way to a keyframe.
         """
         steps = se2.compose(self.poses, se2.inverse(before))
-        first = np.array([local.first for local in self.maps])
-        return se2.compose(steps[np.searchsorted(first, np.arange(len(poses)), side="right") - 1], poses)
+        firsts, references = np.array([(local.first, local.reference) for local in self.maps]).T
+        k = np.arange(len(poses))
+        left = np.clip(np.searchsorted(references, k, side="right") - 1, 0, None)
+        right = np.clip(np.searchsorted(references, k, side="right"), None, len(references) - 1)
+        segments = np.cumsum(broken)
+        apart = segments[references[left]] != segments[references[right]]
+        own = np.searchsorted(firsts, k, side="right") - 1
+        left, right = np.where(apart, own, left), np.where(apart, own, right)
+        share = (k - references[left]) / np.maximum(references[right] - references[left], 1)
+        moved = se2.compose(steps[left], poses)
+        farther = se2.compose(steps[right], poses) - moved
+        farther[:, 2] = se2.wrap_angle(farther[:, 2])
+        return moved + np.where(left < right, share, 0.0)[:, None] * farther
 
     def credible(self) -> tuple[NDArray[np.int64], Float]:
         """The loops (L, 2) that fit with all the others, and their information (L, 3, 3)."""

@@ -149,3 +149,39 @@ def test_groups_too_far_apart_to_see_the_same_have_no_inliers(scan_of_halls, key
     )
     assert T.tolist() == start.tolist()
     assert (inliers, same, against) == (0.0, 0, 0)
+
+
+def moved_apart(closer):
+    """Move each local map by a step of its own, as loops do; the poses before."""
+    before = closer.poses.copy()
+    rng = np.random.default_rng(0)
+    closer.poses = se2.compose(rng.normal(0, 0.02, before.shape), before)
+    return before
+
+
+def test_keyframes_follow_their_local_maps_and_the_way_does_not_tear_between_them(scan_of_halls, keyframes_of, around):
+    closer = locals_of(scan_of_halls, around[:72], keyframes_of)
+    poses = around[:72].copy()
+    before = moved_apart(closer)
+    moved = closer.carried_along(poses, before, np.zeros(len(poses), bool))
+    assert moved[[m.reference for m in closer.maps]] == pytest.approx(closer.poses, abs=1e-12)
+    changed = se2.relative(moved[:-1], moved[1:]) - se2.relative(poses[:-1], poses[1:])
+    # Two maps differ by 0.1 m at most, here and far from the origin, which twelve keyframes share.
+    assert np.hypot(*changed[:, :2].T).max() < 0.05
+
+
+def test_where_track_was_lost_keyframes_move_with_their_own_local_map(scan_of_halls, keyframes_of, around):
+    closer = locals_of(scan_of_halls, around[: 2 * SPAN], keyframes_of)
+    poses, broken = around[: 2 * SPAN].copy(), np.arange(2 * SPAN) == SPAN
+    before = moved_apart(closer)
+    steps = se2.compose(closer.poses, se2.inverse(before))
+    moved = closer.carried_along(poses, before, broken)
+    assert moved == pytest.approx(se2.compose(np.repeat(steps, SPAN, axis=0), poses), abs=1e-12)
+
+
+def test_a_local_map_is_where_its_keyframes_were_smoothed_to(scan_of_halls, keyframes_of, around):
+    closer = locals_of(scan_of_halls, around[:36], keyframes_of)
+    smoothed = closer._keyframes.snapshot()
+    smoothed.poses[:] += (0.1, 0.0, 0.01)
+    closer.take_poses(smoothed)
+    assert closer.poses == pytest.approx(smoothed.poses[[m.reference for m in closer.maps]], abs=0)
