@@ -25,13 +25,13 @@ _REACH_M = 4.0
 _MOST_NEIGHBORS = 10
 _APART = 2
 _LEAST_WAY_M = 3.0
-_ROUNDS = 8
+_ROUNDS = 5
 # So many more are begun with, as long as the way between two keyframes still changes by more than this, m: noise tilts
 # the normals of a bare corridor's walls, which then resist a slide along it, the more the nearer partners have to be.
 _MOST_WIDE_ROUNDS, _AT_REST_M = 6, 0.05
 # While partners are far, every so manieth beam will do, and all kinds of beams count. Once they are near, those that
 # may lie on a wall or not, as where a beam is split by an edge, would bend the map: in simulation by 0.1 deg in 100 m.
-_COARSE_STEP, _COARSE_ROUNDS = 3, 5
+_COARSE_STEP, _COARSE_ROUNDS = 3, 2
 _COARSE_LOOSE, _FINE_LOOSE = LOOSE, CORNER
 _DISTANCE_M = (0.8, 0.08)
 _SIGMA_M = (0.2, 0.03)

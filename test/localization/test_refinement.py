@@ -61,7 +61,7 @@ def test_along_a_bare_corridor_the_wheels_hold(scan_of_corridor, keyframes_of):
 def test_refinement_tells_how_far_it_is(keyframes):
     told = []
     refinement.refine(keyframes, WAYS, UNKNOWN, UNBROKEN, progress=lambda *step: told.append(step))
-    assert told == [("refinement", done, 8) for done in range(1, 9)]
+    assert told == [("refinement", done, 5) for done in range(1, 6)]
 
 
 def test_neighbors_are_those_along_the_way_and_those_met_again():
