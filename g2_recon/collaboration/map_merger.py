@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from g2_recon.collaboration.alignment import LEAST_WAY_M, Alignment, align, still_holds
+from g2_recon.collaboration.alignment import LEAST_WAY_M, Alignment, align, align_near, still_holds
 from g2_recon.collaboration.joint_map import joined, refined
 from g2_recon.geometry import se2
 from g2_recon.geometry.session import Session
@@ -52,10 +52,11 @@ def merge(
 ) -> JointMap:
     """One map of the sessions of robots, by name; the same in whatever order they are given.
 
-    starts: (3,) world ← <robot>/map where it is known about. The robot that began first, or the first with a start, is
-    where the world is. Those whose place is not sure are left out. before: the map when sessions had fewer keyframes;
-    what was found then is judged anew, and looked for again only where it does not hold any more, or where there is so
-    much more that what was not found may be found. Raises InputError where a map is too large to search.
+    starts: (3,) world ← <robot>/map where it is known about; one that maps contradict is not believed, and its robot is
+    looked for. The robot that began first, or the first with a start, is where the world is. Those whose place is not
+    sure are left out. before: the map when sessions had fewer keyframes; what was found then is judged anew, and looked
+    for again only where it does not hold any more, or where there is so much more that what was not found may be found.
+    Raises InputError where a map is too large to search.
     """
     known = {name: np.asarray(start, float) for name, start in (starts or {}).items()}
     order = sorted(sessions, key=lambda name: (name not in known, *_rank(sessions[name])))
@@ -71,13 +72,15 @@ def merge(
         # Who has found no place may find one when others are in.
         for name in waiting:
             session = sessions[name]
-            if name in known:
-                alignment = _given(known[name], session, "its start is given")
-            elif (found := _as_before(name, world, session, before)) is not None:
-                alignment = found
-            else:
-                alignment = align(world, session, progress=progress)
+            found = _as_before(name, world, session, before)
+            if found is None and name in known:
+                found = _as_given(known[name], world, session)
+            if found is None:
+                found = align(world, session, progress=progress)
                 looked_for[name] = len(world), len(session)
+                if name in known:
+                    found = replace(found, reason=_wrong_start(found))
+            alignment = found
             alignments[name] = alignment
             if alignment.state == "aligned":
                 count = len(world)
@@ -105,6 +108,21 @@ def _as_before(name: str, world: Session, session: Session, before: JointMap | N
         return found if found.state == "aligned" else None
     most = _WORTH_LOOKING * np.array(before.looked_for.get(name, (0, 0)))
     return before.alignments[name] if (np.array([len(world), len(session)]) < most).all() else None
+
+
+def _as_given(start: Float, world: Session, session: Session) -> Alignment | None:
+    """The place of a robot whose start is given, as far as maps say nothing else; None: it is to be looked for."""
+    found = align_near(world, session, start)
+    if found.state == "aligned":
+        return replace(found, reason=f"its start is given; {found.way:.0f} m of way in common agree")
+    if found.way < LEAST_WAY_M or found.state == "ambiguous":
+        return _given(start, session, "its start is given; too little is in common to judge it")
+    return None
+
+
+def _wrong_start(found: Alignment) -> str:
+    wrong = "the start that is given does not hold"
+    return f"{wrong}: it was found elsewhere" if found.state == "aligned" else f"{wrong}, and {found.reason}"
 
 
 def _rank(session: Session) -> tuple[bool, float, bytes, bytes]:
