@@ -9,9 +9,13 @@ import pytest
 import simulated_sweeps
 from simulated_sweeps import stop
 
-from g2_recon.collaboration.live_merger import LiveMerger
+from g2_recon import pipeline
+from g2_recon.collaboration.live_merger import LiveMerger, SweepWork
+from g2_recon.config import RegistrationConfig, SimulationConfig
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud, Piece
+from g2_recon.simulation.building import first_floor, surfaces
+from g2_recon.simulation.simulator import simulate
 from g2_recon.sweep_pipeline import place_sweeps
 
 # Where the map of each robot begins in the building. That of the second lies lower, as the frame of its first laser.
@@ -116,3 +120,20 @@ def test_a_scan_of_a_robot_that_stands_is_no_sweep():
     live.take_cloud("anna", 1.0, Cloud(flat, np.zeros((500, 3))), Piece(1, 0))
     assert live.sweep_work() is None
     assert live.place("anna").state == "waiting"
+
+
+def test_sweeps_are_laid_on_the_vertical_scans_of_a_robot_that_drives():
+    driven = simulate(SimulationConfig(seed=4, horizontal_every=1000, vertical_every=6))
+    world = pipeline.register(driven.recording, driven.trajectory, RegistrationConfig()).cloud
+    # The world is where the robot that drives began; the other one knows nothing of that.
+    T_building_world = se3.from_xyz_rpy([5.4, 1.0, 0.0, 0.0, 0.0, np.pi / 2])
+    T_building_map = MAPS["bert"]
+    rectangles, rng = surfaces(first_floor()), np.random.default_rng(0)
+    way = T_building_world @ driven.trajectory.matrices()
+    along = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(way[:, :3, 3], axis=0), axis=1))]
+    stops = [se3.to_xyz_rpy(way[np.searchsorted(along, metres)]) for metres in (2.0, 5.0, 11.0, 14.0)]
+    sweeps = tuple(seen(rectangles, stop(x, y, np.degrees(yaw)), T_building_map, rng) for x, y, _, _, _, yaw in stops)
+    place = place_sweeps(SweepWork(world, {"bert 1": sweeps}, {}, frozenset()))["bert 1"]
+    assert place.state == "aligned", place.reason
+    metres, degrees = simulated_sweeps.errors(place.T_world_map, se3.inverse(T_building_world) @ T_building_map)
+    assert metres < 0.05 and degrees < 0.5

@@ -39,9 +39,9 @@ _SAME_M, _SAME_RAD = 0.3, math.radians(3.0)
 # A sweep contradicts a place where so much of it should be on what others saw and less than that is.
 _SEEN_OVERLAP, _CONTRADICTED = 0.2, 0.75
 _MOST_CONTRADICTING = 0.2
-# Sweeps that lie there have this in common with what others saw, and so much of it on the same surface, on the mean:
-# corridors that are alike but for a door have less of either. One sweep alone has to fit better.
-_LEAST_OVERLAP, _LEAST_INLIERS = 0.65, 0.95
+# Sweeps that lie there have this in common with what others saw, on the mean, and of it so much on the same surface:
+# corridors that are alike but for a door do not. Where less is in common it has to fit better, and one sweep alone.
+_OVERLAPS, _LEAST_INLIERS = (0.35, 0.65), (0.975, 0.95)
 _ALONE_OVERLAP, _ALONE_INLIERS = 0.8, 0.96
 # Beside what fits, what does not counts so many times.
 _AGAINST = 4.0
@@ -209,11 +209,12 @@ def _believed(best: SweepAlignment, rivals: Sequence[SweepAlignment]) -> SweepAl
             reason=f"{best.held} sweeps fit, but {best.contradicting} contradict what others saw",
         )
     alone = best.held < 2
-    overlap, inliers = (_ALONE_OVERLAP, _ALONE_INLIERS) if alone else (_LEAST_OVERLAP, _LEAST_INLIERS)
+    overlap = _ALONE_OVERLAP if alone else _OVERLAPS[0]
+    inliers = _ALONE_INLIERS if alone else float(np.interp(best.overlap, _OVERLAPS, _LEAST_INLIERS))
     if best.overlap < overlap or best.inlier_share < inliers:
         fits = "one sweep fits" if alone else f"{best.held} sweeps fit"
         has = f"{best.overlap:.0%} of it in common and {best.inlier_share:.0%} of that on the same surface"
-        return replace(best, state="rejected", reason=f"{fits}, with {has}; {overlap:.0%} and {inliers:.0%} are needed")
+        return replace(best, state="rejected", reason=f"{fits}, with {has}; {overlap:.0%} and {inliers:.1%} are needed")
     sigma = math.sqrt(np.linalg.eigvalsh(best.covariance[:3, :3])[2])
     if sigma > _MOST_SIGMA_M:
         return replace(best, state="ambiguous", reason=f"along one direction nothing holds it: sigma {sigma:.2f} m")
