@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -21,6 +22,9 @@ Float = NDArray[np.float64]
 
 # The place of a robot is looked for again when world or robot have so many times as many keyframes.
 _WORTH_LOOKING = 1.2
+# Once maps are joined, a place of one is recognized in the other after so much way in common, m, at least once: loops
+# are judged by themselves, and where rooms are alike by chance there is hardly one.
+_WAY_A_LOOP_M = 8.0
 _GIVEN_SIGMA = np.array([0.5, 0.5, 0.1])
 
 
@@ -80,12 +84,13 @@ def merge(
                 looked_for[name] = len(world), len(session)
                 if name in known:
                     found = replace(found, reason=_wrong_start(found))
-            alignment = found
-            alignments[name] = alignment
-            if alignment.state == "aligned":
-                count = len(world)
-                world = joined(world, session, alignment.T_fixed_moving, alignment.keyframes)
-                rows[name] = slice(count, len(world))
+            if found.state == "aligned":
+                both = joined(world, session, found.T_fixed_moving, found.keyframes)
+                found = _recognized(found, _loops_between(both, len(world.local_maps)))
+            alignments[name] = found
+            if found.state == "aligned":
+                rows[name] = slice(len(world), len(both))
+                world = both
                 progress("merging maps", len(rows), len(sessions))
                 break
         else:
@@ -123,6 +128,20 @@ def _as_given(start: Float, world: Session, session: Session) -> Alignment | Non
 def _wrong_start(found: Alignment) -> str:
     wrong = "the start that is given does not hold"
     return f"{wrong}: it was found elsewhere" if found.state == "aligned" else f"{wrong}, and {found.reason}"
+
+
+def _loops_between(both: Session, maps: int) -> int:
+    """How many loops there are between the first so many local maps and the others."""
+    return int(np.count_nonzero((both.loops[:, 0] < maps) & (both.loops[:, 1] >= maps)))
+
+
+def _recognized(found: Alignment, loops: int) -> Alignment:
+    """An alignment, rejected where too few places of one map were recognized in the other."""
+    needed = math.ceil(found.way / _WAY_A_LOOP_M)
+    if loops >= needed:
+        return found
+    reason = f"in {found.way:.0f} m of way in common {loops} places were recognized only, {needed} are needed"
+    return replace(found, state="rejected", reason=reason)
 
 
 def _rank(session: Session) -> tuple[bool, float, bytes, bytes]:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from g2_recon.collaboration import alignment
+from g2_recon.collaboration import alignment, map_merger
 from g2_recon.collaboration.alignment import align
 from g2_recon.collaboration.joint_map import joined
 from g2_recon.collaboration.map_merger import merge
@@ -149,6 +149,14 @@ def test_a_robot_in_another_building_is_left_out_and_said_to_be(robots, elsewher
     state = merged.alignments["stranger" if "stranger" not in merged.rows else "one"]
     assert state.state == "rejected"
     assert state.reason
+
+
+def test_where_too_little_is_recognized_once_maps_are_joined_the_place_is_not_believed(robots, monkeypatch):
+    monkeypatch.setattr(map_merger, "_WAY_A_LOOP_M", 0.1)
+    merged = merge(robots)
+    assert list(merged.rows) == ["one"]
+    assert merged.alignments["two"].state == "rejected"
+    assert "places were recognized only" in merged.alignments["two"].reason
 
 
 def test_maps_of_different_lasers_are_joined_beam_by_beam(robots):
