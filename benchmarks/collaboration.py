@@ -443,7 +443,9 @@ _writing = Lock()
 def write_page(out: Path) -> None:
     """The page, of the tables that lie there."""
     paths = [out / f"collaboration_{name}.json" for name in (*TABLES, "cost")]
-    head = "# Benchmarks of several robots\n\nMade by\n\n    python benchmarks/collaboration.py --data FOLDER\n"
+    head = (
+        "# Benchmarks of several robots\n\nMade by\n\n    python benchmarks/collaboration.py --data FOLDER --jobs 16\n"
+    )
     (out / "collaboration_benchmarks.md").write_text(report.page(head, paths))
 
 

@@ -84,7 +84,6 @@ def parts_until(session: Session, first: int, stamp: float) -> SessionPart:
     rows = slice(first, count)
     begins = session.local_maps[session.local_maps < count]
     kept = (session.loops < len(begins)).all(axis=1)
-    names = ("stamps", "points", "normals", "kinds", "firsts", "increments", "ways", "wheel_steps", "broken")
     return SessionPart(
         number=session_number(float(session.stamps[0]), session.points[0], session.kinds[0]),
         count=count,
@@ -95,7 +94,7 @@ def parts_until(session: Session, first: int, stamp: float) -> SessionPart:
         local_maps=begins,
         loops=session.loops[kept],
         loop_information=session.loop_information[kept],
-        **{name: getattr(session, name)[rows] for name in names},  # type: ignore[arg-type]
+        **session.of_rows(rows),
     )
 
 

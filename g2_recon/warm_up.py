@@ -18,6 +18,7 @@ from g2_recon.localization.occupancy import GridBuilder
 from g2_recon.reconstruction.collected_cloud import Part
 from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.reconstructor import reconstruct
+from g2_recon.registration.prepared_map import prepare_map
 from g2_recon.registration.prepared_sweep import prepare
 from g2_recon.registration.registrar import Registrar
 
@@ -50,8 +51,10 @@ def warm_up_registration() -> None:
     registrar = Registrar(RegistrationConfig(), np.eye(4))
     registrar.add_pose(0.0, np.eye(4))
     registrar.add_scan(Scan(0.0, np.ones(2, np.float32), 0.0, 1.0))
-    sweep = prepare(np.random.default_rng(0).uniform(-2.0, 2.0, (1000, 3)), SweepConfig())
+    points = np.random.default_rng(0).uniform(-2.0, 2.0, (1000, 3))
+    sweep = prepare(points, SweepConfig())
     sweep.seen_through(sweep.points, 0.1)
+    prepare_map(Cloud(points, np.zeros_like(points)), SweepConfig())
 
 
 def _drive_up_and_down(config: LocalizationConfig) -> None:

@@ -42,6 +42,11 @@ def generate_launch_description() -> LaunchDescription:
             description="true: map_merger_node and the reconstruct_node of all robots run on this computer",
         ),
         DeclareLaunchArgument(
+            "world",
+            default_value="",
+            description="frame of the map of all robots; empty: `world_frame` of map_merger_node in the parameter file",
+        ),
+        DeclareLaunchArgument(
             "tf",
             default_value="shared",
             choices=["shared", "own"],
@@ -71,6 +76,12 @@ def generate_launch_description() -> LaunchDescription:
             output="screen",
         )
 
+    def merger_and_mesh(context: LaunchContext) -> list[Node]:
+        named = LaunchConfiguration("world").perform(context)
+        world = named or merger_parameters(Path(LaunchConfiguration("config").perform(context))).get("world_frame")
+        frame = ParameterValue(world or "world", value_type=str)
+        return [of_all("map_merger_node", world_frame=frame), of_all("reconstruct_node", map_frame=frame)]
+
     def robots_here(context: LaunchContext) -> list[GroupAction]:
         named = robots_of(Path(LaunchConfiguration("config").perform(context)))
         here = LaunchConfiguration("here").perform(context)
@@ -96,20 +107,22 @@ def generate_launch_description() -> LaunchDescription:
         return GroupAction([*own, nodes])
 
     return LaunchDescription(
-        [
-            *arguments,
-            OpaqueFunction(function=robots_here),
-            of_all("map_merger_node"),
-            of_all("reconstruct_node", map_frame="world"),
-        ]
+        [*arguments, OpaqueFunction(function=robots_here), OpaqueFunction(function=merger_and_mesh)]
     )
 
 
 def robots_of(file: Path) -> list[str]:
     """The robots that a parameter file names. Raises RuntimeError where it names none."""
+    robots = [name for name in merger_parameters(file).get("robots", []) if name]
+    if not robots:
+        raise RuntimeError(f"{file}: `robots` of map_merger_node names no robot")
+    return robots
+
+
+def merger_parameters(file: Path) -> dict[str, Any]:
+    """The parameters of map_merger_node in a parameter file; what comes later in it counts."""
+    found: dict[str, Any] = {}
     for node, content in (yaml.safe_load(file.read_text()) or {}).items():
         if node.endswith("map_merger_node"):
-            robots = [name for name in content["ros__parameters"].get("robots", []) if name]
-            if robots:
-                return robots
-    raise RuntimeError(f"{file}: `robots` of map_merger_node names no robot")
+            found |= content["ros__parameters"]
+    return found

@@ -77,3 +77,32 @@ def test_robots_with_the_same_name_are_refused(recordings, tmp_path, capsys):
 def test_settings_that_make_no_map_to_merge_are_refused(recordings, localization):
     with pytest.raises(InputError, match="mapped one by one and then merged"):
         joint_pipeline.run(recordings, G2ReconConfig(localization=localization))
+
+
+@pytest.fixture(scope="module")
+def sweeping():
+    """A robot that stands and tilts its laser in the same building."""
+    return simulate(SimulationConfig(seed=5, setup="sweeping", horizontal_every=9)).recording
+
+
+def test_a_recording_of_a_tilting_laser_is_that_of_a_robot_that_makes_sweeps(recordings, sweeping, tmp_path):
+    settings = G2ReconConfig()
+    result = joint_pipeline.run({"s": sweeping, "a": recordings["a"]}, settings)
+    run = result.swept["s"]
+    assert run.sweeps == 6
+    assert run.place.reason
+    assert len(result.cloud) == len(result.robots["a"].registration.cloud) + run.in_map * len(run.cloud)
+    summary = joint_pipeline.summarize(result)
+    assert summary["robots"]["s"]["state"] == run.place.state
+    joint_pipeline.write_run(result, settings, tmp_path, summary=summary)
+    assert len(read_cloud(tmp_path / "s" / "cloud.ply")) == len(run.cloud)
+    assert (tmp_path / "s" / "trajectory.tum").exists()
+
+
+def test_sweeps_alone_are_a_map_too(sweeping, tmp_path):
+    settings = G2ReconConfig()
+    result = joint_pipeline.run({"s": sweeping}, settings)
+    assert result.map is None
+    assert result.swept["s"].in_map
+    joint_pipeline.write_run(result, settings, tmp_path, summary=joint_pipeline.summarize(result))
+    assert (tmp_path / "mesh.ply").exists()

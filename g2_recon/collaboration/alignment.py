@@ -22,7 +22,7 @@ from g2_recon.geometry.session import Session
 from g2_recon.localization.beams import Beams
 from g2_recon.localization.collecting import latest
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.relocalization import Place, WholeMap, judge_group
+from g2_recon.localization.relocalization import GIVEN_M, GIVEN_RAD, Place, WholeMap, judge_group
 from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]
@@ -103,6 +103,29 @@ def align(fixed: Session, moving: Session, *, progress: Progress = silent) -> Al
     # The ends of a bent map are elsewhere without contradicting each other.
     rivals = [alignment for alignment, hypothesis in others if np.isin(hypothesis.owners, best[1].owners).any()]
     return _believed(best[0], rivals)
+
+
+def align_near(fixed: Session, moving: Session, T_fixed_moving: Float) -> Alignment:
+    """Judge a transform (3,) that somebody gives, right to a metre and 20 deg, and take it to where the maps fit best.
+
+    Raises InputError where the map `fixed` is too large to search.
+    """
+    whole = WholeMap(Keyframes.of_session(fixed))
+    scans = Keyframes.of_session(moving)
+    owners: list[int] = []
+    places: list[Place] = []
+    for k in range(0, len(moving), _PART_KEYFRAMES):
+        guess = se2.compose(T_fixed_moving, moving.poses[k])
+        place = whole.around(guess, _beams(moving, k), metres=GIVEN_M, radians=GIVEN_RAD)
+        if place is not None and place.quality >= _LEAST_QUALITY:
+            owners.append(k)
+            places.append(place)
+    hypotheses = _agreed(places, np.array(owners, int), scans.poses)
+    if not hypotheses:
+        rows = np.arange(0, len(moving), _PART_KEYFRAMES)
+        transforms = np.tile(np.asarray(T_fixed_moving, float), (len(rows), 1))
+        hypotheses = [_Hypothesis(transforms[0], rows, transforms, np.ones(len(rows)), np.eye(3))]
+    return _believed(_judged(hypotheses[0], whole, fixed, moving, scans), [])
 
 
 def still_holds(fixed: Session, moving: Session, before: Alignment, transforms: Float) -> Alignment:

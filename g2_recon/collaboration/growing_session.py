@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
-from g2_recon.geometry.session import FARTHEST_M, Session, SessionPart, widened
+from g2_recon.geometry.session import FARTHEST_M, OF_KEYFRAMES, Session, SessionPart, widened
 
 Float = NDArray[np.float64]
 
-_OF_KEYFRAMES = ("stamps", "points", "normals", "kinds", "firsts", "increments", "ways", "wheel_steps", "broken")
 _OF_BEAMS = ("points", "normals", "kinds")
 _LATEST = 1e15
 
@@ -29,7 +28,7 @@ class GrowingSession:
         self.number = number
         self.told = 0
         self.last_stamp = -np.inf
-        self._keyframes: dict[str, list[NDArray]] = {name: [] for name in _OF_KEYFRAMES}
+        self._keyframes: dict[str, list[NDArray]] = {name: [] for name in OF_KEYFRAMES}
         self._count = 0
         self._last_way = 0.0
         self._poses: Float = np.empty((0, 3))
@@ -74,7 +73,7 @@ class GrowingSession:
         self.last_stamp = max(self.last_stamp, part.last_stamp)
 
     def _append(self, part: SessionPart, known: int) -> None:
-        new = {name: getattr(part, name)[known:] for name in _OF_KEYFRAMES}
+        new = part.of_rows(slice(known, None))
         poses = part.poses[self._count : part.first + len(part.stamps)]
         # Its own checks are those of a session.
         checked = Session(**new, poses=poses, **_no_loops())

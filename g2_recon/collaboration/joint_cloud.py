@@ -9,27 +9,39 @@ other's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry import se2
+from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece, concatenate
 
 Float = NDArray[np.float64]
 
 # A piece is moved where its points would be so much elsewhere, m, at this distance from where they were seen, m.
 _MOVED_M, _ARM_M = 0.01, 5.0
+# What is thinner, as a standard deviation, is a scan of a robot that stands, and no sweep, m.
+_FLAT_M = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """How the map of a session lies in the world along its way: T_world_map (N, 3) at stamps (N,) s of keyframes."""
+    """How the map of a session lies in the world along its way: T_world_map (N, 3) at stamps (N,) s of keyframes.
+
+    lift: (4, 4) what comes before it, where the map is not level or not at the height of the world.
+    """
 
     stamps: Float
     T_world_map: Float
+    lift: Float = field(default_factory=lambda: np.eye(4))
+
+    @classmethod
+    def rigid(cls, T_world_map: Float) -> Correction:
+        """Of a map that lies at one transform (4, 4)."""
+        planar = se2.from_se3(T_world_map)
+        return cls(np.zeros(1), planar[None], se3.inverse(se3.from_se2(planar)) @ T_world_map)
 
     @classmethod
     def between(cls, stamps: Float, in_map: Float, in_world: Float) -> Correction:
@@ -58,11 +70,22 @@ class _Piece:
     sent: int = 0
     out_revision: int = 0
     T: Float | None = None
+    # Of how many points it is known whether they are a sweep.
+    judged: tuple[int, bool] = (-1, False)
 
     @property
     def points(self) -> int:
         """How many there are."""
         return sum(map(len, self.parts))
+
+    @property
+    def is_sweep(self) -> bool:
+        """Whether all of it was seen from one place, and reaches out in all directions."""
+        if self.judged[0] != self.points:
+            columns = np.concatenate(self.parts)
+            alone = len(columns) > 3 and columns.shape[1] == 6 and bool((columns[:, 3:] == columns[0, 3:]).all())
+            self.judged = self.points, alone and np.linalg.eigvalsh(np.cov(columns[:, :3].T))[0] > _FLAT_M**2
+        return self.judged[1]
 
 
 @dataclass(slots=True)
@@ -72,6 +95,20 @@ class _Place:
     source: int
     correction: Correction
     pieces: list[_Piece] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Sweeps:
+    """The pieces of a source that are sweeps; begin: of the first, s; version: changes with whatever is new."""
+
+    begin: float
+    version: tuple[int, int]
+    pieces: tuple[_Piece, ...]
+
+    def clouds(self) -> tuple[Cloud, ...]:
+        """Each sweep in the map of the robot, with where the laser was."""
+        joined = (np.concatenate(piece.parts).astype(float) for piece in self.pieces)
+        return tuple(Cloud(columns[:, :3], columns[:, 3:]) for columns in joined)
 
 
 class JointCloud:
@@ -153,8 +190,9 @@ class JointCloud:
                     for piece in pieces.values():
                         self._mark(robot, session, piece)
             return
+        lifted = np.abs(correction.lift - place.correction.lift).max() * _ARM_M > _MOVED_M
         place.correction = correction
-        for piece in _moved(place):
+        for piece in place.pieces if lifted else _moved(place):
             self._send_anew(piece)
             self._mark(robot, session, piece)
 
@@ -214,16 +252,44 @@ class JointCloud:
                 piece.T = place.correction.at(np.array([piece.stamp]))[0]
             new = np.concatenate([np.empty((0, piece.parts[0].shape[1])), *piece.parts[piece.sent :]])
             piece.parts, piece.sent = [np.concatenate(piece.parts)], 1
-            yield piece.stamp, _in_world(piece.T, new), Piece(place.source, piece.number, piece.out_revision)
+            shown = _in_world(piece.T, new, place.correction.lift)
+            yield piece.stamp, shown, Piece(place.source, piece.number, piece.out_revision)
 
     def cloud(self) -> Cloud:
         """All points in the world, session by session."""
+        return self._cloud_of(place for _, place in sorted(self._places.items()))
+
+    def cloud_but_of(self, sources: Collection[tuple[str, int]]) -> Cloud:
+        """The same without that of some sessions."""
+        return self._cloud_of(place for key, place in sorted(self._places.items()) if key not in sources)
+
+    @staticmethod
+    def _cloud_of(places: Iterable[_Place]) -> Cloud:
         parts = [
-            _in_world(place.correction.at(np.array([piece.stamp]))[0], np.concatenate(piece.parts))
-            for _, place in sorted(self._places.items())
-            for piece in place.pieces
+            _in_world(place.correction.at(np.array([p.stamp]))[0], np.concatenate(p.parts), place.correction.lift)
+            for place in places
+            for p in place.pieces
         ]
         return concatenate(parts)
+
+    def sweeps(self, robot: str) -> dict[int, Sweeps]:
+        """What a robot without keyframes has told, by source, as far as each piece was seen from one place."""
+        return {
+            source: Sweeps(
+                min(piece.stamp for piece in pieces.values()),
+                (len(pieces), sum(piece.revision for piece in pieces.values())),
+                tuple(pieces.values()),
+            )
+            for (owner, source), pieces in sorted(self._sources.items())
+            if owner == robot and pieces and all(piece.is_sweep for piece in pieces.values())
+        }
+
+    def bind_sweeps(self, robot: str, source: int) -> None:
+        """Tell that a source is a session by itself, as that of a robot without keyframes."""
+        if (robot, source) not in self._session_of:
+            self._session_of[robot, source] = source
+            for piece in self._sources[robot, source].values():
+                self._mark(robot, source, piece)
 
 
 def _moved(place: _Place) -> list[_Piece]:
@@ -246,9 +312,12 @@ def _applied(T: Float, points: Float) -> Float:
     return np.column_stack([T[:, 0] + cos * x - sin * y, T[:, 1] + sin * x + cos * y])
 
 
-def _in_world(T: Float, columns: NDArray[np.floating]) -> Cloud:
-    """Points (N, 3), or points and sensor (N, 6), moved by a planar transform (3,)."""
+def _in_world(T: Float, columns: NDArray[np.floating], lift: Float) -> Cloud:
+    """Points (N, 3), or points and sensor (N, 6), moved by a transform (4, 4) and then by a planar one (3,)."""
     moved = np.array(columns, float)
+    level = np.array_equal(lift, np.eye(4))
     for begin in range(0, moved.shape[1], 3):
+        if not level:
+            moved[:, begin : begin + 3] = se3.transform_points(lift, moved[:, begin : begin + 3])
         moved[:, begin : begin + 2] = se2.transform_points(T, moved[:, begin : begin + 2])
     return Cloud(moved[:, :3], moved[:, 3:] if moved.shape[1] == 6 else None)

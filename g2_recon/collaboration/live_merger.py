@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from g2_recon.collaboration.growing_session import GrowingSession
 from g2_recon.collaboration.joint_cloud import Correction, JointCloud
 from g2_recon.collaboration.map_merger import JointMap, merge
+from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import Cloud, Piece
 from g2_recon.geometry.session import Session, SessionPart
 
@@ -31,8 +32,9 @@ _MOVED = 1e-3
 class Place:
     """Where the map of a robot lies in the world, or why that is not known.
 
-    T_world_map: (3,) where the robot is now, and its covariance (3, 3); None where it is not known. session: number of
-    its present session, None before the first. way, agreement: see Alignment.
+    T_world_map: (3,) where the robot is now, and its covariance (3, 3); None where it is not known. lift: (4, 4) what
+    comes before it, see Correction. session: number of its present session, None before the first. way, agreement: see
+    Alignment. sweeps: of a robot that has no keyframes.
     """
 
     state: State
@@ -43,6 +45,37 @@ class Place:
     covariance: Float | None = None
     way: float = 0.0
     agreement: float = 0.0
+    lift: Float = field(default_factory=lambda: np.eye(4))
+    sweeps: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SweepPlace:
+    """Where the map of a robot that makes sweeps lies in the world, or why that is not known.
+
+    T_world_map: (4, 4), covariance: (6, 6), the order of ROS; agreement: share of what both should see that is on the
+    same surface.
+    """
+
+    state: State
+    reason: str
+    T_world_map: Float
+    covariance: Float
+    agreement: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SweepWork:
+    """Robots that make sweeps and have no keyframes, to be placed in a world: their sweeps, who began first is first.
+
+    world: what other robots saw, None where nobody else is there. before: (4, 4) where each was found before, or is
+    given.
+    """
+
+    world: Cloud | None
+    robots: dict[str, tuple[Cloud, ...]]
+    before: dict[str, Float]
+    given: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +123,8 @@ class LiveMerger:
         self._merged_versions: dict[str, tuple[int, int]] = {}
         self._thorough = False
         self._keyframes_at_thorough = 0
+        self._sweep_places: dict[str, SweepPlace] = {}
+        self._swept: tuple[object, ...] = ()
 
     @property
     def robots(self) -> list[str]:
@@ -110,6 +145,8 @@ class LiveMerger:
         for name, robot in self._robots.items():
             for number in robot.sessions:
                 self.cloud.place(name, number, None)
+        for key in self._sweep_places:
+            self.cloud.place(*_of_key(key), None)
 
     def take_part(self, robot: str, part: SessionPart) -> GrowingSession:
         """Take in what a robot tells of its session; that session. Raises InputError where it is unusable."""
@@ -166,6 +203,68 @@ class LiveMerger:
             for growing in robot.sessions.values():
                 self._follow(name, growing)
 
+    def sweep_work(self) -> SweepWork | None:
+        """Robots that make sweeps, to be placed; None where nothing has come since the last time.
+
+        They do not change the map of the others, so that is made first.
+        """
+        sweeps = {
+            _key(name, source): one
+            for name, robot in sorted(self._robots.items())
+            if not robot.sessions
+            for source, one in self.cloud.sweeps(name).items()
+        }
+        version = (self._map, *((key, one.version) for key, one in sweeps.items()))
+        if not sweeps or _same_version(version, self._swept):
+            return None
+        self._swept = version
+        order = sorted(sweeps, key=lambda key: (_of_key(key)[0] not in self._starts, sweeps[key].begin, key))
+        world = self.cloud.cloud_but_of({_of_key(key) for key in sweeps})
+        before = {key: place.T_world_map for key, place in self._sweep_places.items() if place.state == "aligned"}
+        starts = {key: self._starts[_of_key(key)[0]] for key in order if _of_key(key)[0] in self._starts}
+        return SweepWork(
+            world if len(world) else None,
+            {key: sweeps[key].clouds() for key in order},
+            {key: se3.from_se2(start) for key, start in starts.items()} | before,
+            frozenset(starts),
+        )
+
+    def take_placed(self, placed: Mapping[str, SweepPlace]) -> None:
+        """Take what became of a `sweep_work`: clouds follow."""
+        for key, place in placed.items():
+            robot, source = _of_key(key)
+            if self._robots[robot].sessions:
+                continue
+            self._sweep_places[key] = place
+            aligned = place.state == "aligned"
+            if aligned:
+                self.cloud.bind_sweeps(robot, source)
+            self.cloud.place(robot, source, Correction.rigid(place.T_world_map) if aligned else None)
+
+    def _place_of_sweeps(self, robot: str) -> Place:
+        sweeps = self.cloud.sweeps(robot)
+        if not sweeps:
+            return Place("waiting", "no keyframe of it has come")
+        source = max(sweeps, key=lambda number: sweeps[number].begin)
+        count = sweeps[source].version[0]
+        place = self._sweep_places.get(_key(robot, source))
+        if place is None:
+            return Place("waiting", "its place is being looked for", source, sweeps=count)
+        if place.state != "aligned":
+            return Place(place.state, place.reason, source, agreement=place.agreement, sweeps=count)
+        correction = Correction.rigid(place.T_world_map)
+        planar = [0, 1, 5]
+        return Place(
+            "aligned",
+            place.reason,
+            source,
+            T_world_map=correction.T_world_map[-1],
+            covariance=place.covariance[np.ix_(planar, planar)],
+            agreement=place.agreement,
+            lift=correction.lift,
+            sweeps=count,
+        )
+
     def _follow(self, robot: str, growing: GrowingSession) -> None:
         self.cloud.place(robot, growing.number, self._correction(robot, growing))
 
@@ -181,7 +280,7 @@ class LiveMerger:
         """Where the map of a robot lies now, or why that is not known."""
         present = self._robots[robot].present if robot in self._robots else None
         if present is None or not len(present):
-            return Place("waiting", "no keyframe of it has come")
+            return self._place_of_sweeps(robot)
         key = _key(robot, present.number)
         if self._map is None or key not in self._map.alignments:
             return Place("waiting", "its place is being looked for", present.number, len(present))
@@ -205,3 +304,13 @@ class LiveMerger:
 
 def _key(robot: str, number: int) -> str:
     return f"{robot} {number:08x}"
+
+
+def _of_key(key: str) -> tuple[str, int]:
+    robot, number = key.rsplit(" ", 1)
+    return robot, int(number, 16)
+
+
+def _same_version(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+    """Whether the map is the same object and nothing else differs."""
+    return bool(other) and one[0] is other[0] and one[1:] == other[1:]

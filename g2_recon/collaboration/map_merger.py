@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from g2_recon.collaboration.alignment import LEAST_WAY_M, Alignment, align, still_holds
+from g2_recon.collaboration.alignment import LEAST_WAY_M, Alignment, align, align_near, still_holds
 from g2_recon.collaboration.joint_map import joined, refined
 from g2_recon.geometry import se2
 from g2_recon.geometry.session import Session
@@ -21,6 +22,9 @@ Float = NDArray[np.float64]
 
 # The place of a robot is looked for again when world or robot have so many times as many keyframes.
 _WORTH_LOOKING = 1.2
+# Once maps are joined, a place of one is recognized in the other after so much way in common, m, at least once: loops
+# are judged by themselves, and where rooms are alike by chance there is hardly one.
+_WAY_A_LOOP_M = 8.0
 _GIVEN_SIGMA = np.array([0.5, 0.5, 0.1])
 
 
@@ -52,10 +56,11 @@ def merge(
 ) -> JointMap:
     """One map of the sessions of robots, by name; the same in whatever order they are given.
 
-    starts: (3,) world ← <robot>/map where it is known about. The robot that began first, or the first with a start, is
-    where the world is. Those whose place is not sure are left out. before: the map when sessions had fewer keyframes;
-    what was found then is judged anew, and looked for again only where it does not hold any more, or where there is so
-    much more that what was not found may be found. Raises InputError where a map is too large to search.
+    starts: (3,) world ← <robot>/map where it is known about; one that maps contradict is not believed, and its robot is
+    looked for. The robot that began first, or the first with a start, is where the world is. Those whose place is not
+    sure are left out. before: the map when sessions had fewer keyframes; what was found then is judged anew, and looked
+    for again only where it does not hold any more, or where there is so much more that what was not found may be found.
+    Raises InputError where a map is too large to search.
     """
     known = {name: np.asarray(start, float) for name, start in (starts or {}).items()}
     order = sorted(sessions, key=lambda name: (name not in known, *_rank(sessions[name])))
@@ -71,18 +76,21 @@ def merge(
         # Who has found no place may find one when others are in.
         for name in waiting:
             session = sessions[name]
-            if name in known:
-                alignment = _given(known[name], session, "its start is given")
-            elif (found := _as_before(name, world, session, before)) is not None:
-                alignment = found
-            else:
-                alignment = align(world, session, progress=progress)
+            found = _as_before(name, world, session, before)
+            if found is None and name in known:
+                found = _as_given(known[name], world, session)
+            if found is None:
+                found = align(world, session, progress=progress)
                 looked_for[name] = len(world), len(session)
-            alignments[name] = alignment
-            if alignment.state == "aligned":
-                count = len(world)
-                world = joined(world, session, alignment.T_fixed_moving, alignment.keyframes)
-                rows[name] = slice(count, len(world))
+                if name in known:
+                    found = replace(found, reason=_wrong_start(found))
+            if found.state == "aligned":
+                both = joined(world, session, found.T_fixed_moving, found.keyframes)
+                found = _recognized(found, _loops_between(both, len(world.local_maps)))
+            alignments[name] = found
+            if found.state == "aligned":
+                rows[name] = slice(len(world), len(both))
+                world = both
                 progress("merging maps", len(rows), len(sessions))
                 break
         else:
@@ -105,6 +113,35 @@ def _as_before(name: str, world: Session, session: Session, before: JointMap | N
         return found if found.state == "aligned" else None
     most = _WORTH_LOOKING * np.array(before.looked_for.get(name, (0, 0)))
     return before.alignments[name] if (np.array([len(world), len(session)]) < most).all() else None
+
+
+def _as_given(start: Float, world: Session, session: Session) -> Alignment | None:
+    """The place of a robot whose start is given, as far as maps say nothing else; None: it is to be looked for."""
+    found = align_near(world, session, start)
+    if found.state == "aligned":
+        return replace(found, reason=f"its start is given; {found.way:.0f} m of way in common agree")
+    if found.way < LEAST_WAY_M or found.state == "ambiguous":
+        return _given(start, session, "its start is given; too little is in common to judge it")
+    return None
+
+
+def _wrong_start(found: Alignment) -> str:
+    wrong = "the start that is given does not hold"
+    return f"{wrong}: it was found elsewhere" if found.state == "aligned" else f"{wrong}, and {found.reason}"
+
+
+def _loops_between(both: Session, maps: int) -> int:
+    """How many loops there are between the first so many local maps and the others."""
+    return int(np.count_nonzero((both.loops[:, 0] < maps) & (both.loops[:, 1] >= maps)))
+
+
+def _recognized(found: Alignment, loops: int) -> Alignment:
+    """An alignment, rejected where too few places of one map were recognized in the other."""
+    needed = math.ceil(found.way / _WAY_A_LOOP_M)
+    if loops >= needed:
+        return found
+    reason = f"in {found.way:.0f} m of way in common {loops} places were recognized only, {needed} are needed"
+    return replace(found, state="rejected", reason=reason)
 
 
 def _rank(session: Session) -> tuple[bool, float, bytes, bytes]:

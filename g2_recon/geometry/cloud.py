@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry import se3
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,11 @@ class Cloud:
     def select(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cloud:
         """The points that a mask (N,) or an array of indices names."""
         return Cloud(self.points[which], None if self.sensor is None else self.sensor[which])
+
+    def moved(self, T: NDArray[np.float64]) -> Cloud:
+        """In another frame, by a transform (4, 4) from this one."""
+        sensor = None if self.sensor is None else se3.transform_points(T, self.sensor)
+        return Cloud(se3.transform_points(T, self.points), sensor)
 
     def finite(self) -> Cloud:
         """Without points or sensor positions that are NaN or infinite; itself where there is none."""

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 from zlib import crc32
 
@@ -30,23 +30,16 @@ LONGEST_WAY_M = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
-    """N keyframes with B beams each, where they are in the map, and what ties them to each other.
+class KeyframeArrays:
+    """What there is of N keyframes with B beams each, but for where they are.
 
-    stamps: (N,) s. poses: (N, 3) T_map_laser. points: (N, B, 2) m in the planar laser frame, normals: (N, B, 2) unit
-    or zero, kinds: (N, B) 0 no measurement, 1 point, 2 point on a surface, 4 corner; firsts, increments: (N,) rad,
-    bearing of the first beam and from beam to beam. ways: (N,) m driven until there. wheel_steps: (N, 3) step of the
-    laser since the keyframe before as the wheels say, NaN where unknown. broken: (N,) where track was lost on the way
-    to a keyframe. local_maps: (C,) how many keyframes there are when each of the C local maps begins. loops: (L, 2)
-    which two local maps are the same place, and loop_information: (L, 3, 3) of the pose of the second as seen from the
-    first.
-
-    The poses are those of the laser, so that another robot can go on in the map. Raises InputError where arrays do not
-    fit together, or numbers are not finite or out of their range.
+    stamps: (N,) s. points: (N, B, 2) m in the planar laser frame, normals: (N, B, 2) unit or zero, kinds: (N, B) 0 no
+    measurement, 1 point, 2 point on a surface, 4 corner; firsts, increments: (N,) rad, bearing of the first beam and
+    from beam to beam. ways: (N,) m driven until there. wheel_steps: (N, 3) step of the laser since the keyframe before
+    as the wheels say, NaN where unknown. broken: (N,) where track was lost on the way to a keyframe.
     """
 
     stamps: Float
-    poses: Float
     points: Float32
     normals: Float32
     kinds: NDArray[np.uint8]
@@ -55,6 +48,29 @@ class Session:
     ways: Float
     wheel_steps: Float
     broken: NDArray[np.bool_]
+
+    def of_rows(self, rows: slice) -> dict[str, NDArray[Any]]:
+        """The arrays, by name, of some keyframes."""
+        return {name: getattr(self, name)[rows] for name in OF_KEYFRAMES}
+
+
+OF_KEYFRAMES = tuple(field.name for field in fields(KeyframeArrays))
+"""The names of the arrays of keyframes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Session(KeyframeArrays):
+    """N keyframes, where they are in the map, and what ties them to each other.
+
+    poses: (N, 3) T_map_laser. local_maps: (C,) how many keyframes there are when each of the C local maps begins.
+    loops: (L, 2) which two local maps are the same place, and loop_information: (L, 3, 3) of the pose of the second as
+    seen from the first.
+
+    The poses are those of the laser, so that another robot can go on in the map. Raises InputError where arrays do not
+    fit together, or numbers are not finite or out of their range.
+    """
+
+    poses: Float
     local_maps: Int
     loops: Int
     loop_information: Float
@@ -159,38 +175,29 @@ class LastScan:
 
 
 @dataclass(frozen=True, slots=True)
-class SessionGrowth:
+class SessionGrowth(KeyframeArrays):
     """What a session has more than at an earlier time, when it had `first` keyframes.
 
-    poses: (N, 3) of all keyframes as they are now; the other arrays as in Session, of the keyframes from `first` on.
+    poses: (N, 3) of all keyframes as they are now; those of KeyframeArrays are of the keyframes from `first` on.
     graph: local_maps, loops and loop_information as in Session, or None while they are in the making. scans: those
     that have come since, of a robot that stands only the first. last: the latest of all.
     """
 
     first: int
     poses: Float
-    stamps: Float
-    points: Float32
-    normals: Float32
-    kinds: NDArray[np.uint8]
-    firsts: Float
-    increments: Float
-    ways: Float
-    wheel_steps: Float
-    broken: NDArray[np.bool_]
     graph: tuple[Int, Int, Float] | None
     scans: ScanPoses
     last: LastScan
 
 
 @dataclass(frozen=True, slots=True)
-class SessionPart:
+class SessionPart(KeyframeArrays):
     """What a robot tells of its session from time to time, from which others make it up.
 
     number: of the session, see `session_number`. count: how many keyframes it has. revision: another number where poses
     or graph are others. last_stamp: s, of the latest scan, keyframe or not. poses: (count, 3) T_map_laser of
-    all keyframes, or none (0, 3) where they are as they were. first: the keyframe with which the other arrays begin,
-    which are as in Session, of some keyframes in a row or of none. local_maps, loops, loop_information: the graph as in
+    all keyframes, or none (0, 3) where they are as they were. first: the keyframe with which those of KeyframeArrays
+    begin, which are of some keyframes in a row or of none. local_maps, loops, loop_information: the graph as in
     Session; no local maps where it is in the making.
     """
 
@@ -200,15 +207,6 @@ class SessionPart:
     last_stamp: float
     poses: Float
     first: int
-    stamps: Float
-    points: Float32
-    normals: Float32
-    kinds: NDArray[np.uint8]
-    firsts: Float
-    increments: Float
-    ways: Float
-    wheel_steps: Float
-    broken: NDArray[np.bool_]
     local_maps: Int
     loops: Int
     loop_information: Float

@@ -320,6 +320,11 @@ def piece_from_message(message: PointCloud2) -> Piece | None:
     return Piece(*(int(rows[name].flat[0]) for name in PIECE_FIELDS))
 
 
+def cloud_and_piece_from_message(message: PointCloud2) -> tuple[Cloud, Piece | None]:
+    """A cloud, and which piece it is of, None where it does not say. Raises InputError where either is unusable."""
+    return cloud_from_message(message), piece_from_message(message)
+
+
 def usable_points(cloud: Cloud) -> Cloud:
     """The cloud without points, or points seen from places, that are not finite or absurdly far away."""
     columns = cloud.points if cloud.sensor is None else np.hstack([cloud.points, cloud.sensor])

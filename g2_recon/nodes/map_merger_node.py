@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import UInt8MultiArray, UInt32, UInt32MultiArray
 
 from g2_recon.collaboration.growing_session import GrowingSession
-from g2_recon.collaboration.live_merger import LiveMerger, Place, Work
+from g2_recon.collaboration.live_merger import LiveMerger, Place, SweepWork, Work
 from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
@@ -30,7 +30,7 @@ from g2_recon.geometry.cloud import Cloud
 from g2_recon.nodes import conversions
 from g2_recon.nodes.journals import MessageJournal
 from g2_recon.nodes.keyframes import part_of_message
-from g2_recon.nodes.merging_process import Made, MergingProcess
+from g2_recon.nodes.merging_process import Made, MergingProcess, Placed
 from g2_recon.nodes.parameters import MapMergerParameters
 from g2_recon.nodes.ros import LATCHED, RobotTransforms, reliable_qos, run
 from g2_recon.nodes.stage_node import StageNode
@@ -107,7 +107,7 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         self._next_sequence: dict[tuple[str, int], int] = {}
         self._gaps: dict[tuple[str, int], list[_Gap]] = {}
         self._asked_keyframes: dict[str, tuple[int, float]] = {}
-        self._work: tuple[Work, Future[Made]] | None = None
+        self._work: tuple[Work | SweepWork, Future[Made | Placed]] | None = None
         self._rest_until = self._grew_at = self._sent_at = -math.inf
         self._merging_takes = 0.0
 
@@ -145,7 +145,8 @@ class MapMergerNode(StageNode[MapMergerParameters]):
 
     def waiting_for(self) -> str:
         """See StageNode."""
-        return "" if self._robots() else "no robot yet: nobody publishes `<robot>/keyframes`, or name them in `robots`"
+        lack = "no robot yet: nobody publishes `<robot>/keyframes` or `<robot>/cloud`, or name them in `robots`"
+        return "" if self._robots() else lack
 
     def doubts(self) -> Iterator[str]:
         """See StageNode."""
@@ -201,11 +202,15 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         if message.header.frame_id != frame:
             self.drop("cloud in another frame", f"it is in '{message.header.frame_id}', not '{frame}'")
             return
-        cloud = self.usable(conversions.cloud_from_message, message, "cloud")
-        piece = self.usable(conversions.piece_from_message, message, "cloud")
-        if cloud is None or piece is None:
+        received = self.usable(conversions.cloud_and_piece_from_message, message, "cloud")
+        if received is None:
+            return
+        cloud, piece = received
+        if piece is None:
             self.drop("cloud that says nothing of its piece", "it cannot follow the map of its robot")
             return
+        # A robot without keyframes tells its frame by its cloud only.
+        self._frames.setdefault(robot, message.header.frame_id)
         stamp = conversions.stamp_seconds(message.header.stamp)
         refused = self._merger.take_cloud(robot, stamp, conversions.usable_points(cloud), piece)
         self._follow_sequence((robot, piece.source), conversions.sequence_from_message(message), piece.revision)
@@ -252,12 +257,13 @@ class MapMergerNode(StageNode[MapMergerParameters]):
     def _discovered(self) -> list[str]:
         """Namespaces of robots that are new, right below that of this node."""
         own = self.get_namespace().rstrip("/")
-        return [
-            found[1]
+        kind_of = {"keyframes": "std_msgs/msg/UInt8MultiArray", "cloud": "sensor_msgs/msg/PointCloud2"}
+        found = {
+            match[1]
             for topic, kinds in self.get_topic_names_and_types()
-            if (found := re.fullmatch(rf"{own}/([^/]+)/keyframes", topic)) and found[1] not in self._wanted
-            if "std_msgs/msg/UInt8MultiArray" in kinds
-        ]
+            if (match := re.fullmatch(rf"{own}/([^/]+)/(keyframes|cloud)", topic)) and kind_of[match[2]] in kinds
+        }
+        return sorted(found - self._wanted.keys())
 
     def _merge(self) -> None:
         """Take what has been merged, and begin with what is new."""
@@ -270,11 +276,12 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         now = monotonic()
         if now < self._rest_until:
             return
-        new = self._merger.work(settled=now - self._grew_at > self.settings.settle)
+        settled = now - self._grew_at > self.settings.settle
+        new = self._merger.work(settled=settled) or self._merger.sweep_work()
         if new is not None:
             self._work = new, self._merging.submit(new)
 
-    def _take_merged(self, work: Work, future: Future[Made]) -> None:
+    def _take_merged(self, work: Work | SweepWork, future: Future[Made | Placed]) -> None:
         try:
             made = future.result()
         except InputError as error:
@@ -282,16 +289,22 @@ class MapMergerNode(StageNode[MapMergerParameters]):
             self._rest_until = monotonic() + self.settings.settle
             return
         self.faults.pop("merging", None)
-        self._merger.take_merged(work, made.map)
         # As long as it has taken, others have their turn.
         self._merging_takes = made.seconds
         self._rest_until = monotonic() + made.seconds
+        if isinstance(work, Work) and isinstance(made, Made):
+            self._merger.take_merged(work, made.map)
+            self._show(made)
+        elif isinstance(made, Placed):
+            self._merger.take_placed(made.places)
+        self._publish_alignments()
+
+    def _show(self, made: Made) -> None:
         head = conversions.header(self._newest_stamp, self.settings.world_frame)
         if made.grid is not None:
             self._map_publisher.publish(conversions.grid_message(head, made.grid))
         flat = Cloud(np.column_stack([made.points, np.zeros(len(made.points))]))
         self._points_publisher.publish(conversions.cloud_to_message(head, flat))
-        self._publish_alignments()
 
     def _send(self) -> None:
         """Hand on pieces in the world, as many as there is time for."""
@@ -319,16 +332,20 @@ class MapMergerNode(StageNode[MapMergerParameters]):
     def _state(self, robot: str) -> tuple[str, Place]:
         """State of a robot, and its place."""
         place = self._merger.place(robot)
-        source = self.inputs.get(f"{robot}/keyframes")
-        silent = source is None or source.silent_for > self.settings.stale_after
+        silent = self._silent_for(robot, place) > self.settings.stale_after
         return ("stale" if silent and place.session is not None else place.state), place
+
+    def _silent_for(self, robot: str, place: Place) -> float:
+        """For how long a robot has told nothing, s; one that makes sweeps tells clouds only."""
+        source = self.inputs.get(f"{robot}/{'cloud' if place.sweeps else 'keyframes'}")
+        return math.inf if source is None else source.silent_for
 
     def _reason(self, robot: str, state: str, place: Place) -> str:
         if place.session is None:
             return self.not_received(f"{robot}/keyframes") if f"{robot}/keyframes" in self.inputs else place.reason
         if state != "stale":
             return place.reason
-        silent = self.inputs[f"{robot}/keyframes"].silent_for if f"{robot}/keyframes" in self.inputs else math.inf
+        silent = self._silent_for(robot, place)
         since = f"nothing came for {silent:.0f} s" if math.isfinite(silent) else "nothing came since the start"
         return f"{since}; what it told before is kept; {place.state}: {place.reason}"
 
@@ -342,12 +359,15 @@ class MapMergerNode(StageNode[MapMergerParameters]):
                 "keyframes": place.keyframes,
                 "sessions": self._merger.sessions_of(robot),
             }
+            if place.sweeps:
+                values["sweeps"] = place.sweeps
             if place.session is not None:
                 values["session"] = f"{place.session:08x}"
             if place.T_world_map is not None and place.covariance is not None:
                 values |= dict(zip(("x", "y", "yaw"), (f"{value:.6f}" for value in place.T_world_map), strict=True))
                 values["frame"] = self._frames.get(robot, "")
-                values["way in common"] = f"{place.way:.1f} m"
+                if not place.sweeps:
+                    values["way in common"] = f"{place.way:.1f} m"
                 values["agreement"] = f"{place.agreement:.3f}"
                 values["covariance"] = " ".join(f"{value:.3e}" for value in place.covariance.ravel())
             message.status.append(
@@ -368,7 +388,7 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         for robot in self._merger.robots:
             place = self._merger.place(robot)
             if place.T_world_map is not None:
-                T = se3.from_se2(place.T_world_map)
+                T = se3.from_se2(place.T_world_map) @ place.lift
                 self._transforms.send(stamp, self.settings.world_frame, robot, self._frames.get(robot, ""), T)
 
     def _reset(self) -> str:

@@ -22,13 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.collaboration.live_merger import Work
+from g2_recon.collaboration.live_merger import SweepPlace, SweepWork, Work
 from g2_recon.collaboration.map_merger import JointMap
 from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.joint_pipeline import grid_of
 from g2_recon.localization.point_map import map_of_keyframes
+from g2_recon.sweep_pipeline import place_sweeps
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,14 @@ class Made:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Where robots that make sweeps lie, and how many seconds it took."""
+
+    places: dict[str, SweepPlace]
+    seconds: float
+
+
 class MergingProcess:
     """Does one piece of work after the other; started with the first, and again where it has ended."""
 
@@ -50,11 +59,11 @@ class MergingProcess:
         self._thread = ThreadPoolExecutor(1, "merging")
         self.process: subprocess.Popen[bytes] | None = None
 
-    def submit(self, work: Work) -> Future[Made]:
+    def submit(self, work: Work | SweepWork) -> Future[Made | Placed]:
         """What becomes of work; its exception is an InputError where maps cannot be merged, or the process ended."""
         return self._thread.submit(self._do, work)
 
-    def _do(self, work: Work) -> Made:
+    def _do(self, work: Work | SweepWork) -> Made | Placed:
         if self.process is None or self.process.poll() is not None:
             path = os.pathsep.join(filter(None, sys.path))
             self.process = subprocess.Popen(
@@ -71,7 +80,7 @@ class MergingProcess:
         except (OSError, EOFError, pickle.UnpicklingError) as error:
             self.process.kill()
             raise InputError("the process that merges has ended", advice="it is started again") from error
-        if isinstance(answer, Made):
+        if isinstance(answer, Made | Placed):
             return answer
         raise InputError(str(answer))
 
@@ -83,9 +92,14 @@ class MergingProcess:
         self._thread.shutdown(cancel_futures=True)
 
 
-def made(work: Work, settings: LocalizationConfig) -> Made:
-    """The map of all robots, and what shows it. Raises InputError where one is too large to search."""
+def made(work: Work | SweepWork, settings: LocalizationConfig) -> Made | Placed:
+    """The map of all robots, and what shows it; or where those lie in it that make sweeps.
+
+    Raises InputError where a map is too large to search.
+    """
     began = time.monotonic()
+    if isinstance(work, SweepWork):
+        return Placed(place_sweeps(work), time.monotonic() - began)
     merged = work.merged()
     session = merged.session
     points = map_of_keyframes(session.poses, session.points, session.kinds, settings.map_spacing)
@@ -103,7 +117,7 @@ def main() -> None:
         while True:
             work, settings = pickle.load(sys.stdin.buffer)
             try:
-                answer: Made | str = made(work, settings)
+                answer: Made | Placed | str = made(work, settings)
             except Exception as error:
                 answer = str(error) if isinstance(error, InputError) else f"internal error: {error!r}"
             pickle.dump(answer, output, protocol=pickle.HIGHEST_PROTOCOL)

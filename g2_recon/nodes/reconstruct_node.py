@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
-from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece, concatenate
+from g2_recon.geometry.cloud import ALL_PIECES, concatenate
 from g2_recon.nodes import conversions
 from g2_recon.nodes.journals import MessageJournal
 from g2_recon.nodes.markers import MarkerTopic, drawings_of_mesh, drawings_of_wire_mesh, vertex_errors
@@ -124,7 +124,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
             frames = f"it is in '{message.header.frame_id}', not '{self.settings.map_frame}'"
             self.drop("cloud in another frame", frames)
             return
-        received = self.usable(_cloud_and_piece, message, "cloud")
+        received = self.usable(conversions.cloud_and_piece_from_message, message, "cloud")
         if received is None:
             return
         cloud, piece = received
@@ -280,10 +280,6 @@ class ReconstructNode(StageNode[ReconstructParameters]):
 def _config_of(settings: ReconstructParameters) -> dict[str, Any]:
     """What a reconstruction depends on."""
     return settings.model_dump(include=set(ReconstructionConfig.model_fields))
-
-
-def _cloud_and_piece(message: PointCloud2) -> tuple[Cloud, Piece | None]:
-    return conversions.cloud_from_message(message), conversions.piece_from_message(message)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -100,6 +100,20 @@ def match(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: S
     return _best([first, *found])
 
 
+def match_at(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: SweepConfig) -> Match:
+    """Lay a sweep on another from a guess (4, 4) that is good, and look nowhere else."""
+    return _match_from(T_guess, moving, fixed, T_guess, _NEAR * config.last_gate, config)
+
+
+def matches_anywhere(moving: PreparedSweep, fixed: PreparedSweep, T_guess: Float, config: SweepConfig) -> list[Match]:
+    """All matches to be believed around a guess (4, 4) that may be far off, the best first.
+
+    Places are tried as far around it as `search` and `search_angle` say; what a match leaves open is left to its place.
+    """
+    found = [match_at(moving, fixed, place, config) for place in _places(moving, fixed, T_guess, config)]
+    return sorted((match for match in found if not match.refused), key=_preference, reverse=True)
+
+
 def _best(found: Sequence[Match]) -> Match:
     """The match that has most for it; refused where another one, elsewhere, has about as much."""
     best = max(found, key=_preference)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from g2_recon.collaboration import alignment
+from g2_recon.collaboration import alignment, map_merger
 from g2_recon.collaboration.alignment import align
 from g2_recon.collaboration.joint_map import joined
 from g2_recon.collaboration.map_merger import merge
@@ -110,9 +110,37 @@ def test_a_start_that_is_known_is_where_a_robot_is(robots, simulation):
     T_world_two = align(robots["one"], robots["two"]).T_fixed_moving
     about = se2.compose(T_world_two, np.array([0.3, -0.2, 0.03]))
     merged = merge(robots, starts={"one": se2.IDENTITY, "two": about})
-    assert merged.alignments["two"].reason == "its start is given"
+    assert merged.alignments["two"].reason.startswith("its start is given; ")
+    assert merged.alignments["two"].agreement > 0.9
     metres, _ = errors(merged.session, simulation)
     assert metres.mean() < 0.04  # m; loops pull the map to where it belongs
+
+
+def test_a_start_that_maps_contradict_is_not_believed_and_its_robot_is_looked_for(robots, simulation):
+    T_world_two = align(robots["one"], robots["two"]).T_fixed_moving
+    wrong = se2.compose(T_world_two, np.array([3.0, 1.5, 1.0]))
+    merged = merge(robots, starts={"one": se2.IDENTITY, "two": wrong})
+    assert merged.alignments["two"].reason == "the start that is given does not hold: it was found elsewhere"
+    metres, _ = errors(merged.session, simulation)
+    assert metres.mean() < 0.04  # m, as above
+
+
+def began_later(session):
+    return dataclasses.replace(session, stamps=session.stamps + 2e9)
+
+
+def test_a_robot_of_another_building_is_left_out_though_its_start_is_given_on_top_of_others(robots, sessions):
+    one, stranger = robots["one"], began_later(sessions["two"])
+    merged = merge({"one": one, "stranger": stranger}, starts={"one": se2.IDENTITY, "stranger": one.poses[68]})
+    assert merged.alignments["stranger"].state == "rejected"
+    assert merged.alignments["stranger"].reason.startswith("the start that is given does not hold, and ")
+
+
+def test_a_start_where_nobody_else_was_is_believed(robots, elsewhere):
+    both = {"one": robots["one"], "far": began_later(elsewhere)}
+    merged = merge(both, starts={"one": se2.IDENTITY, "far": (500.0, 0.0, 0.0)})
+    assert merged.alignments["far"].state == "aligned"
+    assert merged.alignments["far"].reason == "its start is given; too little is in common to judge it"
 
 
 def test_a_robot_in_another_building_is_left_out_and_said_to_be(robots, elsewhere):
@@ -121,6 +149,14 @@ def test_a_robot_in_another_building_is_left_out_and_said_to_be(robots, elsewher
     state = merged.alignments["stranger" if "stranger" not in merged.rows else "one"]
     assert state.state == "rejected"
     assert state.reason
+
+
+def test_where_too_little_is_recognized_once_maps_are_joined_the_place_is_not_believed(robots, monkeypatch):
+    monkeypatch.setattr(map_merger, "_WAY_A_LOOP_M", 0.1)
+    merged = merge(robots)
+    assert list(merged.rows) == ["one"]
+    assert merged.alignments["two"].state == "rejected"
+    assert "places were recognized only" in merged.alignments["two"].reason
 
 
 def test_maps_of_different_lasers_are_joined_beam_by_beam(robots):

@@ -13,7 +13,7 @@ from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.session import ScanPoses
+from g2_recon.geometry.session import OF_KEYFRAMES, ScanPoses
 from g2_recon.localization.localizer import Localizer
 
 ANGLES = np.linspace(-np.pi, np.pi, 360, endpoint=False)
@@ -66,7 +66,7 @@ def test_keyframes_add_up_to_the_session(grown):
     localizer, growths = grown
     session = localizer.session()
     assert len(session) > 20
-    for name in ("stamps", "points", "normals", "kinds", "firsts", "increments", "ways", "wheel_steps", "broken"):
+    for name in OF_KEYFRAMES:
         parts = np.concatenate([getattr(growth, name) for growth in growths])
         np.testing.assert_array_equal(parts, getattr(session, name), err_msg=name)
 

@@ -27,7 +27,7 @@ SCANS = {"scan", "scan_vertical"}
 ARGUMENTS = {
     "robot": {"namespace", "config", "lasers", "frame_prefix", "mesh", "use_sim_time"},
     "replay": {"bag", "rate", "rviz", "namespace", "config", "lasers"},
-    "robots": {"config", "here", "merger", "tf", "lasers", "use_sim_time"},
+    "robots": {"config", "here", "merger", "world", "tf", "lasers", "use_sim_time"},
 }
 NODES = {
     "robot": {"localizer_node", "registrar_node", "sweep_node", "reconstruct_node"},

@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import simulated_sweeps
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -19,7 +21,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, UInt8MultiArray, UInt32MultiArray
 from std_srvs.srv import Trigger
 
-from g2_recon.geometry import se2
+from g2_recon.geometry import se2, se3
 from g2_recon.geometry.cloud import Cloud, Piece
 from g2_recon.nodes import conversions
 from g2_recon.nodes import ros as ros_of_nodes
@@ -55,9 +57,7 @@ class Robot:
     def _answer(self, request):
         _, first = request.data
         rows = slice(first, first + 40)
-        names = ("stamps", "points", "normals", "kinds", "firsts", "increments", "ways", "wheel_steps", "broken")
-        keyframes = {name: getattr(self.session, name)[rows] for name in names}
-        self.tell(dataclasses.replace(self.parts[-1], first=first, **keyframes))
+        self.tell(dataclasses.replace(self.parts[-1], first=first, **self.session.of_rows(rows)))
 
     def show(self, k, number, sequence, *, revision=0, frame=None):
         """A point at the laser of a keyframe."""
@@ -235,3 +235,33 @@ def test_both_styles_of_tf_work(start, monkeypatch, frame, sent):
         assert (transforms[tree].header.frame_id, transforms[tree].child_frame_id) == ("world", child)
         T = se2.from_se3(conversions.transform_matrix(transforms[tree].transform))
         np.testing.assert_allclose(T, (5.0, 1.0, 1.5), atol=1e-6)
+
+
+def test_robots_that_make_sweeps_are_found_and_come_into_one_world(start):
+    harness = start()
+    rectangles, rng = simulated_sweeps.furnished_room(), np.random.default_rng(0)
+    stop = simulated_sweeps.stop
+    begin = se3.from_xyz_rpy([4.0, -2.5, 0.0, 0.0, 0.0, 2.2])
+    for number, (name, T_building_map, stops) in enumerate(
+        [
+            ("anna", np.eye(4), [stop(3, 3, 10), stop(12, 3.5, 170)]),
+            ("bert", begin, [stop(8, 3, 160), stop(5, 4.5, -20)]),
+        ]
+    ):
+        publisher = harness.observer.create_publisher(PointCloud2, f"/{name}/cloud", 1000)
+        harness.wait_until(publisher.get_subscription_count)
+        for piece, at in enumerate(stops):
+            T = se3.inverse(T_building_map) @ at
+            points = se3.transform_points(T, simulated_sweeps.sweep(rectangles, at, rng))
+            cloud = Cloud(points, np.tile(T[:3, 3], (len(points), 1)))
+            head = Header(frame_id=f"{name}/map", stamp=conversions.stamp_message(100.0 + 10 * piece + number))
+            publisher.publish(conversions.cloud_to_message(head, cloud, Piece(number, piece), piece))
+    harness.wait_until(lambda: harness.told and harness.state("bert") == harness.state("anna") == "aligned")
+    values = dict_of(harness.status("bert"))
+    assert values["sweeps"] == "2"
+    assert values["frame"] == "bert/map"
+    found = [float(values[key]) for key in ("x", "y", "yaw")]
+    # m, rad: 5 cm and half a degree are wanted.
+    assert found[:2] == pytest.approx([4.0, -2.5], abs=0.05)
+    assert found[2] == pytest.approx(2.2, abs=math.radians(0.5))
+    harness.wait_until(lambda: len(harness.collected) == harness.node._merger.cloud.points)
