@@ -9,7 +9,7 @@ import os
 import re
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -136,12 +136,18 @@ class StageNode(Node, Generic[Settings]):
             return self.not_received(topic)
         return f"`{self.inputs[topic].topic}` has stopped: nothing came for {silent:.0f} s"
 
-    def offer_trigger(self, name: str, action: Callable[[], str], *, group: CallbackGroup | None = None) -> None:
-        """A Trigger service: success with the text that `action` returns, or failure with that of its InputError."""
+    def offer_trigger(
+        self, name: str, action: Callable[[], str | Awaitable[str]], *, group: CallbackGroup | None = None
+    ) -> None:
+        """A Trigger service: success with the text that `action` returns, or failure with that of its InputError.
 
-        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        A coroutine may wait for what other callbacks do, in a reentrant group.
+        """
+
+        async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                response.message = action()
+                told = action()
+                response.message = told if isinstance(told, str) else await told
                 response.success = True
             except InputError as error:
                 response.message = str(error)
