@@ -24,12 +24,13 @@ from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece, concatenate
 from g2_recon.nodes import conversions
-from g2_recon.nodes.journals import MessageJournal
+from g2_recon.nodes.journals import MessageJournal, Part
 from g2_recon.nodes.markers import MarkerTopic, drawings_of_mesh, drawings_of_wire_mesh, vertex_errors
 from g2_recon.nodes.parameters import ReconstructParameters
 from g2_recon.nodes.ros import reliable_qos, run
 from g2_recon.nodes.stage_node import StageNode, session_folder
-from g2_recon.reconstruction.collected_cloud import CollectedCloud, Part
+from g2_recon.reconstruction import collected_cloud
+from g2_recon.reconstruction.collected_cloud import CollectedCloud
 from g2_recon.reconstruction.face_errors import face_errors
 from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.reconstructor import reconstruct
@@ -139,9 +140,19 @@ class ReconstructNode(StageNode[ReconstructParameters]):
                 self._accepted += 1
                 self._newest_stamp = max(self._newest_stamp, message.header.stamp, key=conversions.stamp_seconds)
         if not refused:
-            self._journal.keep(topic, message)
+            self._keep(topic, message, piece)
         else:
+            self._journal.leave_out()
             self.drops["cloud while paused" if refused == "left out" else f"cloud {refused}"] += 1
+
+    def _keep(self, topic: str, message: PointCloud2, piece: Piece | None) -> None:
+        if piece is None:
+            self._journal.keep(topic, message)
+            return
+        group = topic, piece.source
+        if piece.number == ALL_PIECES:
+            self._journal.forget(group)
+        self._journal.keep(topic, message, Part(group, piece.number, piece.revision))
 
     def _reconstruct(self) -> str:
         if not self._reconstructing.acquire(blocking=False):
@@ -211,7 +222,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
             if self._result is not None:
                 self._show(self._result, parts, conversions.header(stamp, self.settings.map_frame), resets)
 
-    def _show(self, result: Reconstruction, parts: Mapping[Hashable, Part], head: Header, resets: int) -> None:
+    def _show(
+        self, result: Reconstruction, parts: Mapping[Hashable, collected_cloud.Part], head: Header, resets: int
+    ) -> None:
         """Publish a result, unless what it was made of was forgotten meanwhile."""
         color_by = self.settings.color_by
         errors = of_vertices = None
@@ -229,7 +242,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
                 self._wire_mesh_topic.show(head, wire_mesh, monotonic())
                 self._mesh_topic.show(head, mesh, monotonic())
 
-    def _made(self, parts: dict[Hashable, Part], settings: ReconstructParameters, *, anew: bool) -> Reconstruction:
+    def _made(
+        self, parts: dict[Hashable, collected_cloud.Part], settings: ReconstructParameters, *, anew: bool
+    ) -> Reconstruction:
         if settings.mode == "paper" or settings.rebuild == "on_request":
             self._growing = None
             cloud = concatenate([part.cloud for part in parts.values()])
