@@ -100,6 +100,8 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._refinement_wanted: list[Future] = []
         self._refinement_awaited: list[Future] = []
         self._journal = self._open_journal()
+        if self.settings.method == "graph":
+            self.compile_beside(*(() if self.settings.map else ("tracking",)), "localization")
         self._connect()
 
     def _open_journal(self) -> LocalizerJournal:

@@ -82,6 +82,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         for topic in self.settings.cloud_topics:
             qos = reliable_qos(self.settings.queue_depth)
             self.listen(PointCloud2, topic, takers[topic][1], qos)
+        if self.settings.mode == "solid":
+            # Clouds are taken in meanwhile, and written to the journal.
+            self.compile_beside("reconstruction", hold=False)
         self._ending = Event()
         self._beside = Thread(target=self._work_beside, name="reconstruct_node beside", daemon=True)
         self._beside.start()
@@ -155,6 +158,8 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         self._journal.keep(topic, message, Part(group, piece.number, piece.revision))
 
     def _reconstruct(self) -> str:
+        while self.compiling and self.context.ok():
+            self._ending.wait(_LOOK_S)
         if not self._reconstructing.acquire(blocking=False):
             raise InputError("a reconstruction is being made", advice="wait until it is done")
         try:
@@ -173,6 +178,8 @@ class ReconstructNode(StageNode[ReconstructParameters]):
 
     def _look(self) -> None:
         try:
+            if self.compiling:
+                return
             if self._is_due():
                 self._rebuild(anew=False)
             elif self._result is not None and self._drawn_by != self.settings.color_by:

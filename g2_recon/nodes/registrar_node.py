@@ -49,6 +49,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         depth = self.settings.queue_depth
         self._cloud = PiecePublisher(self, self.settings.map_frame, depth)
         self.offer_trigger("~/reset", self._reset)
+        self.compile_beside("registration")
         takers = {
             "source": (UInt32, lambda message: self._cloud.former_sources.append(message.data)),
             "pose": (PoseStamped, self._add_pose),
