@@ -5,9 +5,10 @@
     python benchmarks/soak.py [--rate 4]
 
 A simulated robot drives once through all rooms, stands for ten minutes, and drives through the same rooms for ten more.
-The recording is replayed, several times faster than real time, to real nodes in processes of their own, which keep
-their journals. Memory is what /proc calls Pss. It is compared with that after the first minute of standing, and after
-the first minute of driving: journals on the disk may grow, memory may not.
+The recording is replayed, several times faster than real time but no faster than poses come, to real nodes in processes
+of their own, which keep their journals. Memory is what /proc calls RssAnon, which does not hang on what other processes
+share. It is compared with that after the first minute of standing, and after the first minute of driving: journals on
+the disk may grow, memory may not.
 """
 
 from __future__ import annotations
@@ -23,12 +24,14 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from nodes import NODES, begin, memory_mb
+from nodes import NODES, begin
 from numpy.typing import NDArray
 from report import Row, Table, page, save
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
 
 from g2_recon.config import SimulationConfig
 from g2_recon.geometry.recording import Recording
@@ -49,6 +52,8 @@ MINUTE_S = 60.0
 _BACK = ((5.40, 4.20), (5.40, 1.00))
 # Memory is looked at so often, s of wall time.
 _PERIOD_S = 1.0
+# The replay is held where poses are so much older than its clock, until they are not, s.
+_MOST_BEHIND_S, _FEW_BEHIND_S = 3.0, 0.5
 # What the replay had sent is done when memory has stood still for so long, s of wall time.
 _AFTERWARDS_S = 20.0
 
@@ -96,7 +101,13 @@ def measure(bag: Path, rate: float, session: Path) -> tuple[Float, dict[str, Flo
     """Stamps (N,) of the replay and memory (N,) in MB of each node then, until all is done."""
     node = rclpy.create_node("benchmark")
     clock = [0.0]
+    pose = [0.0]
     node.create_subscription(Clock, "/clock", lambda message: clock.append(stamp_seconds(message.clock)), 10)
+    node.create_subscription(
+        PoseWithCovarianceStamped, "pose", lambda message: pose.append(stamp_seconds(message.header.stamp)), 10
+    )
+    pause = node.create_client(SetBool, "replay_node/pause")
+    held = False
     processes = {
         name: begin(name, "-p", "use_sim_time:=true", "-p", f"session_dir:={session / name}") for name in NODES
     }
@@ -109,10 +120,14 @@ def measure(bag: Path, rate: float, session: Path) -> tuple[Float, dict[str, Flo
             until = time.monotonic() + _PERIOD_S
             while time.monotonic() < until:
                 rclpy.spin_once(node, timeout_sec=0.1)
-            del clock[:-1]
+                del clock[:-1], pose[:-1]
+                behind = clock[-1] - pose[-1] if pose[-1] else 0.0
+                if held != (behind > (_FEW_BEHIND_S if held else _MOST_BEHIND_S)):
+                    held = not held
+                    pause.call_async(SetBool.Request(data=held))
             stamps.append(clock[-1])
             for name, process in processes.items():
-                memory[name].append(memory_mb([process.pid]))
+                memory[name].append(anonymous_mb(process.pid))
             if not ended and replay.poll() is not None:
                 ended = time.monotonic()
     finally:
@@ -121,6 +136,12 @@ def measure(bag: Path, rate: float, session: Path) -> tuple[Float, dict[str, Flo
             process.wait()
         node.destroy_node()
     return np.array(stamps), {name: np.array(values) for name, values in memory.items()}
+
+
+def anonymous_mb(pid: int) -> float:
+    """Memory of a process that is no file."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith("RssAnon")).split()[1]) / 1024
 
 
 def rows_of(stamps: Float, memory: dict[str, Float], stands: float) -> list[Row]:
@@ -162,7 +183,7 @@ def picture(stamps: Float, memory: dict[str, Float], stands: float, path: Path) 
     for stamp in (stands, stands + STANDING_S):
         axes.axvline((stamp - START) / 60, color="gray", linestyle=":")
     axes.set_xlabel("simulated minutes: a tour, ten of standing, ten of driving")
-    axes.set_ylabel("memory, MB (Pss)")
+    axes.set_ylabel("memory, MB (RssAnon)")
     axes.set_ylim(bottom=0)
     axes.grid(alpha=0.3)
     axes.legend()
@@ -185,8 +206,9 @@ def main() -> None:
     np.savez(OUT / "soak.npz", stamps=stamps, stands=stands, **memory)
     picture(stamps, memory, stands, PICTURE)
     note = (
-        f"Memory (Pss) of each node in MB, at {given.rate:g} times real time; growth: from the first minute of "
-        f"standing, and of driving, to the most since. The load of the machine was {os.getloadavg()[1]:.1f} at the end."
+        f"Memory (RssAnon) of each node in MB, at up to {given.rate:g} times real time; growth: from the first minute "
+        "of standing, and of driving, to the most since. "
+        f"The load of the machine was {os.getloadavg()[1]:.1f} at the end."
     )
     table = Table("Ten minutes of standing, ten of driving", note, {"": rows_of(stamps, memory, stands)}, ["soak.png"])
     save(OUT / "soak.json", table)
