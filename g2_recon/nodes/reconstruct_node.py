@@ -28,7 +28,7 @@ from g2_recon.nodes.journals import MessageJournal, Part
 from g2_recon.nodes.markers import MarkerTopic, drawings_of_mesh, drawings_of_wire_mesh, vertex_errors
 from g2_recon.nodes.parameters import ReconstructParameters
 from g2_recon.nodes.ros import reliable_qos, run
-from g2_recon.nodes.stage_node import StageNode, session_folder
+from g2_recon.nodes.stage_node import StageNode, give_back_memory, session_folder
 from g2_recon.reconstruction import collected_cloud
 from g2_recon.reconstruction.collected_cloud import CollectedCloud
 from g2_recon.reconstruction.face_errors import face_errors
@@ -220,6 +220,8 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         finally:
             self._stage = ""
             self._building.release()
+            # Each update works with copies of all points, of which the memory would else grow by half.
+            give_back_memory()
 
     def _draw_again(self) -> None:
         """Show the mesh there is in other colors."""

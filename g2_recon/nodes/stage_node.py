@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import re
@@ -292,6 +293,13 @@ def memory_mb() -> float:
     except (OSError, ValueError, IndexError):
         return 0.0
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def give_back_memory() -> None:
+    """Have the C library give back to the system what it keeps of large arrays that are gone, where it can (glibc)."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)
 
 
 def session_folder(session_dir: str) -> Path:
