@@ -6,8 +6,8 @@
 
 Each node is killed so often in a replay of its own, which is compared with replays without kills. Where the machine is
 busy with other things, nodes lag behind, and what waits for them would be lost: so the replay is held until they have
-caught up, goes on for a random part of a second, and then the node is killed. The replay is held until it is back, as
-nothing can see while it is away. What is on its way to the node at the kill is lost. At the end ~/refine and
+caught up, goes on for a random part of a second, is held again, and the node is killed at once. The replay is held until
+it is back, as nothing can see while it is away. What is on its way to the node at the kill is lost. At the end ~/refine and
 ~/reconstruct are called, as after any drive.
 """
 
@@ -85,8 +85,8 @@ class Run:
         self.wait_until_still(_CAUGHT_UP_S)
         self._hold(False)
         self._idle(flowing)
-        self.processes[name].kill()
         self._hold(True)
+        self.processes[name].kill()
         self.processes[name].wait()
         self.start(name)
         self._idle(_CONNECTED_S)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from threading import Lock
 
 # What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
 _LATE = {
@@ -33,25 +34,29 @@ class KernelCompiler:
         """Begin with the first one."""
         self._parts = [part for part in parts if not are_cached(part)]
         self._process: subprocess.Popen[bytes] | None = None
+        # Other threads of a node may ask, too.
+        self._asking = Lock()
         self.parts_left()
 
     def parts_left(self) -> Sequence[str]:
         """What is not compiled yet; to be asked now and then, so that the next one begins when one is done."""
-        if self._process is not None and self._process.poll() is not None:
-            # Where it failed, the node compiles what it needs.
-            self._process = None
-            self._parts.pop(0)
-        if self._process is None and self._parts:
-            self._process = subprocess.Popen([sys.executable, "-m", "g2_recon.warm_up", self._parts[0]])
-        return self._parts
+        with self._asking:
+            if self._process is not None and self._process.poll() is not None:
+                # Where it failed, the node compiles what it needs.
+                self._process = None
+                self._parts.pop(0)
+            if self._process is None and self._parts:
+                self._process = subprocess.Popen([sys.executable, "-m", "g2_recon.warm_up", self._parts[0]])
+            return tuple(self._parts)
 
     def close(self) -> None:
         """Give up what is not done."""
-        self._parts.clear()
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-        self._process = None
+        with self._asking:
+            self._parts.clear()
+            if self._process is not None:
+                self._process.kill()
+                self._process.wait()
+            self._process = None
 
 
 def are_cached(part: str) -> bool:

@@ -158,7 +158,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         self._journal.keep(topic, message, Part(group, piece.number, piece.revision))
 
     def _reconstruct(self) -> str:
-        while self.compiling and self.context.ok():
+        while self.compiling and self.context.ok() and not self._ending.is_set():
             self._ending.wait(_LOOK_S)
         if not self._reconstructing.acquire(blocking=False):
             raise InputError("a reconstruction is being made", advice="wait until it is done")
