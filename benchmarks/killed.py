@@ -6,9 +6,9 @@
 
 Each node is killed so often in a replay of its own, which is compared with replays without kills. Where the machine is
 busy with other things, nodes lag behind, and what waits for them would be lost: so the replay is held until they have
-caught up, goes on for a random part of a second, is held again, and the node is killed at once. The replay is held until
-it is back, as nothing can see while it is away. What is on its way to the node at the kill is lost. At the end ~/refine and
-~/reconstruct are called, as after any drive.
+caught up, goes on for a random part of a second, is held again, and the node is killed at once. The replay is held
+until it is back, as nothing can see while it is away. What is on its way to the node at the kill is lost. At the end
+~/refine and ~/reconstruct are called, as after any drive.
 """
 
 from __future__ import annotations
