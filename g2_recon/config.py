@@ -163,6 +163,12 @@ class RegistrationConfig(_Model):
         ge=0,
         le=100_000_000,
     )
+    standing_scans: int = _setting(
+        30,
+        "live: so many scans are enough from one place where the robot stands; others are counted",
+        ge=1,
+        le=100_000_000,
+    )
 
     @model_validator(mode="after")
     def _check(self) -> RegistrationConfig:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -90,6 +91,7 @@ class Localizer:
         self._smoother = Smoother(self._keyframes)
         self._loops = LoopCloser()
         self._closing: _Closing | None = None
+        self._refined: Future[Float] | None = None
         self._odometry = OdometrySteps(self._T_base_laser, use=self._config.use_odometry)
         self._start = se2.compose(np.array(pose, float), self._T_base_laser)
         # Of keyframes: stamp, step of the wheels from the one before, way driven until there, track lost
@@ -100,10 +102,10 @@ class Localizer:
         self._broken: list[bool] = []
         self._map_begins = 0
         self._wheels_since: Float = np.zeros(3)
-        # Of scans: keyframe that it hangs on, pose seen from there; beams, where they are kept.
-        self._stamps: list[float] = []
-        self._owners: list[int] = []
-        self._offsets: list[Float] = []
+        # Of scans: keyframe that it hangs on, pose (3) seen from there; beams, where they are kept.
+        self._stamps = array("d")
+        self._owners = array("q")
+        self._offsets = array("d")
         self._causal: list[Float] = []
         self._scans: list[Beams | None] = []
         self._last: Float = self._start
@@ -224,17 +226,19 @@ class Localizer:
             owner = len(self._keyframes) - 1
             offset = np.zeros(3) if keyframe else relative(self._keyframes.poses[owner], pose)
         if not self._keep_scans and self._owners and owner == self._owners[-1] and not keyframe:
-            moved = np.abs(offset - self._offsets[-1])
+            moved = np.abs(offset - self._offsets[-3:])
             if max(moved[0], moved[1]) < _STANDING_M and moved[2] < _STANDING_RAD:
                 return
         self._stamps.append(stamp)
         self._owners.append(owner)
-        self._offsets.append(offset)
+        self._offsets.extend(offset)
         if self._keep_scans:
             self._scans.append(None if keyframe else seen)
 
     def _close_loops(self) -> bool:
         """Where a local map is complete, have it looked for among the earlier ones; whether the map has moved."""
+        if self._refined is not None:
+            return False
         count = len(self._keyframes)
         moved = self._closing is not None and count >= self._closing.due and self._take_loops()
         first, last = self._map_begins, count - 1
@@ -258,6 +262,7 @@ class Localizer:
 
     def _take_loops(self) -> bool:
         """Wait for the loops that are being closed and move the map as they say; whether that has moved it."""
+        self.take_refinement()
         closing, self._closing = self._closing, None
         answer = None if closing is None else closing.moved.result()
         if answer is None:
@@ -275,7 +280,8 @@ class Localizer:
         if last - first < fewest:
             return None
         self._map_begins = last
-        return self._loops.add(self._keyframes, first, last, self._ways[(first + last) // 2], self._drift(first, last))
+        arguments = first, last, self._ways[(first + last) // 2], self._drift(first, last)
+        return self._loops.add(self._keyframes.snapshot(), *arguments)
 
     def _follow(self, before: Float) -> None:
         """Move the keyframes as the local maps were moved from their poses (C, 3) before."""
@@ -287,9 +293,7 @@ class Localizer:
         """All that it takes to go on in this map another time. Raises InputError where there is no keyframe."""
         if not len(self._keyframes):
             raise InputError("there is no map to save", advice="send scans first")
-        before = self._keyframes.poses[-1].copy()
-        if self._take_loops():
-            self._last = compose(self._keyframes.poses[-1], relative(before, self._last))
+        self._settle_loops()
         points, normals, kinds, firsts, increments = self._keyframes.arrays
         local_maps, loops, information = self._graph()
         return Session(
@@ -307,6 +311,13 @@ class Localizer:
             loops=loops,
             loop_information=information,
         )
+
+    def _settle_loops(self) -> None:
+        """Wait for the loops that are being closed, where the present pose is not one of a new keyframe."""
+        self.take_refinement()
+        before = self._keyframes.poses[-1].copy()
+        if self._take_loops():
+            self._last = compose(self._keyframes.poses[-1], relative(before, self._last))
 
     def _graph(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Float]:
         """Begins of the local maps (C,), loops (L, 2) and their information (L, 3, 3), while none is being closed."""
@@ -329,11 +340,11 @@ class Localizer:
             ways=np.array(self._ways[keyframes:]),
             wheel_steps=np.reshape(self._wheel_steps[keyframes:], (-1, 3)),
             broken=np.array(self._broken[keyframes:], bool),
-            graph=self._graph() if len(points) > keyframes and self._closing is None else None,
+            graph=self._graph() if len(points) > keyframes and not self._map_is_changing else None,
             scans=ScanPoses(
                 np.array(self._stamps[scans:]),
                 np.array(self._owners[scans:], np.int64),
-                np.reshape(self._offsets[scans:], (-1, 3)),
+                np.reshape(self._offsets[3 * scans :], (-1, 3)),
             ),
             last=LastScan(self._stamp, self._last.copy(), self._odometry.last),
         )
@@ -359,9 +370,9 @@ class Localizer:
         """
         if len(scans) and scans.owners.max() >= len(self._keyframes):
             raise InputError("scans of a session hang on keyframes that are not there")
-        self._stamps = scans.stamps.tolist() + self._stamps
-        self._owners = scans.owners.tolist() + self._owners
-        self._offsets = [*scans.offsets, *self._offsets]
+        self._stamps = array("d", scans.stamps) + self._stamps
+        self._owners = array("q", scans.owners) + self._owners
+        self._offsets = array("d", scans.offsets.ravel()) + self._offsets
 
     def resume(self, session: Session, pose: ArrayLike = se2.IDENTITY) -> None:
         """Forget everything and go on in the map of a session, in a new segment with the robot at `pose` (3,)."""
@@ -385,20 +396,65 @@ class Localizer:
         """Close the loops that are left and refine all poses, as one does after the end of a recording."""
         if len(self._keyframes) < _FEWEST_KEYFRAMES:
             return
-        if self._config.loop_closure:
-            self._close_more_loops(progress)
-        poses = refinement.refine(
-            self._keyframes,
-            np.array(self._ways),
-            np.array(self._wheel_steps),
-            np.array(self._broken),
-            progress=progress,
-        )
-        self._keyframes.poses[:] = poses
+        self._keyframes.poses[:] = self._refinement()(progress)
         if self._keep_scans:
             self._refine_scans()
             progress("matching all scans", 1, 1)
         self._tracker.moved()
+
+    def begin_refinement(self) -> None:
+        """Do what `finish` does with the keyframes beside the tracking: `take_refinement` then moves the map.
+
+        Scans may come meanwhile; loops are closed again once the refinement is taken.
+        """
+        if self._refined is None and len(self._keyframes) >= _FEWEST_KEYFRAMES:
+            self._settle_loops()
+            self._refined = _BACKGROUND.submit(self._refinement())
+
+    @property
+    def refining(self) -> bool:
+        """Whether a refinement was begun that is not ready to be taken yet."""
+        return self._refined is not None and not self._refined.done()
+
+    def take_refinement(self) -> bool:
+        """Wait for the refinement that was begun and move the map as it says; whether there was one."""
+        refined, self._refined = self._refined, None
+        if refined is None:
+            return False
+        known, poses = self._keyframes.poses, refined.result()
+        # What came meanwhile hangs on the last keyframe that was refined.
+        step = se2.compose(poses[-1], se2.inverse(known[len(poses) - 1]))
+        known[len(poses) :] = se2.compose(step, known[len(poses) :])
+        known[: len(poses)] = poses
+        self._last = compose(step, self._last)
+        self._loops.settle(self._keyframes.snapshot())
+        self._tracker.moved()
+        return True
+
+    @property
+    def _map_is_changing(self) -> bool:
+        return self._closing is not None or self._refined is not None
+
+    def _refinement(self) -> Callable[..., Float]:
+        """What gives the refined poses (N, 3) of the keyframes there are now, wherever it runs; the loops are its own.
+
+        It takes a Progress.
+        """
+        loops, new = self._loops, None
+        if self._config.loop_closure:
+            new = self._finish_local_map()
+        keyframes = self._keyframes.snapshot()
+        ways, wheel_steps, broken = np.array(self._ways), np.array(self._wheel_steps), np.array(self._broken)
+
+        def refined(progress: Progress = silent) -> Float:
+            if self._config.loop_closure:
+                loops.take_poses(keyframes)
+                before = loops.poses.copy()
+                _close_more_loops(loops, new, progress)
+                keyframes.poses[:] = loops.carried_along(keyframes.poses, before, broken)
+            return refinement.refine(keyframes, ways, wheel_steps, broken, progress=progress)
+
+        return refined
 
     def move_keyframes(self, poses: ArrayLike) -> None:
         """Take T_map_laser (N, 3) of all keyframes from a map that knows more, as of several robots; scans follow."""
@@ -407,19 +463,6 @@ class Localizer:
         if self._keep_scans:
             self._refine_scans()
         self._tracker.moved()
-
-    def _close_more_loops(self, progress: Progress) -> None:
-        """Once all is in place, more places turn out to be the same ones."""
-        new = self._finish_local_map()
-        self._loops.take_poses(self._keyframes)
-        before = self._loops.poses.copy()
-        if new is not None:
-            self._loops.close(new)
-        for c in range(len(self._loops.maps)):
-            self._loops.close(c, wide=False)
-            progress("loop closure", c + 1, len(self._loops.maps))
-        self._loops.optimize()
-        self._follow(before)
 
     def _refine_scans(self) -> None:
         """Match every scan that is no keyframe to the keyframes around it."""
@@ -440,12 +483,12 @@ class Localizer:
         placed = refinement.place(guesses[rows], owners[rows], near, points, normals, kinds, poses, *keyframes.arrays)
         offsets = se2.relative(poses[owners[rows]], placed)
         for row, offset in zip(rows, offsets, strict=True):
-            self._offsets[row] = offset
+            self._offsets[3 * row : 3 * row + 3] = array("d", offset)
 
     def _scan_poses(self) -> Float:
         """T_map_laser (N, 3) of the scans."""
-        offsets = np.reshape(self._offsets, (-1, 3))
-        owners = np.array(self._owners, int)
+        offsets = np.array(self._offsets).reshape(-1, 3)
+        owners = np.array(self._owners)
         poses = offsets.copy()
         hung = owners >= 0
         poses[hung] = se2.compose(self._keyframes.poses[owners[hung]], offsets[hung])
@@ -453,7 +496,7 @@ class Localizer:
 
     def trajectory(self) -> Trajectory:
         """T_map_base of every scan, in the order in which they came, as it is known now."""
-        return Trajectory.from_se2(self._stamps, se2.compose(self._scan_poses(), self._T_laser_base))
+        return Trajectory.from_se2(np.array(self._stamps), se2.compose(self._scan_poses(), self._T_laser_base))
 
     def causal_trajectory(self) -> Trajectory:
         """T_map_base of every scan as it was known when the scan came; empty if scans are not kept."""
@@ -478,6 +521,16 @@ class Localizer:
         keyframes = self._keyframes.snapshot()
         points, _, kinds, _, _ = keyframes.arrays
         return partial(map_of_keyframes, keyframes.poses, points, kinds, self._config.map_spacing)
+
+
+def _close_more_loops(loops: LoopCloser, new: int | None, progress: Progress) -> None:
+    """Once all is in place, more places turn out to be the same ones; new: a local map that was never looked for."""
+    if new is not None:
+        loops.close(new)
+    for c in range(len(loops.maps)):
+        loops.close(c, wide=False)
+        progress("loop closure", c + 1, len(loops.maps))
+    loops.optimize()
 
 
 def _velocity(step: Float, elapsed: float) -> Float:

@@ -30,6 +30,8 @@ from g2_recon.localization.point_map import first_in_each_cell
 Float = NDArray[np.float64]
 
 _RESOLUTION_M, _SIGMA_M = 0.1, 0.1
+# Up to 1 MB each, they are made in some milliseconds.
+_MOST_PYRAMIDS = 64
 # A local map is looked for with this many of its points, from so near, thinned to such cells.
 _QUERY_POINTS, _QUERY_RANGE_M, _QUERY_CELL_M = 500, 15.0, 0.15
 _MAP_RANGE_M, _MAP_CELL_M = 20.0, 0.05
@@ -162,6 +164,18 @@ class LoopCloser:
         for (a, b), known in zip(loops.tolist(), information, strict=True):
             self.loops.append((a, b, se2.relative(self.poses[a], self.poses[b]), known.copy()))
 
+    def settle(self, keyframes: Keyframes) -> None:
+        """Take the poses of keyframes for right: steps and loops are as these say; loops that did not fit are gone."""
+        pairs, information = self.credible()
+        self.take_poses(keyframes)
+        steps = se2.relative(self.poses[:-1], self.poses[1:])
+        self._sequence = [(T, known) for T, (_, known) in zip(steps, self._sequence, strict=True)]
+        self.loops = [
+            (a, b, se2.relative(self.poses[a], self.poses[b]), known)
+            for (a, b), known in zip(pairs.tolist(), information, strict=True)
+        ]
+        self._cost = 0.0
+
     def carry(self, first: int, step: Float) -> None:
         """Move the local maps of keyframes from `first` on by a step (3,) in the map, where their place is known."""
         for c, local in enumerate(self.maps):
@@ -211,14 +225,18 @@ class LoopCloser:
         return cloud[first_in_each_cell(cloud, cell)]
 
     def _pyramid(self, c: int) -> Pyramid:
-        if c not in self._pyramids:
+        """That of a local map; the latest ones are kept, as those near by are asked for again and again."""
+        made = self._pyramids.pop(c, None)
+        if made is None:
             first, last = self.maps[max(0, c - 1)].first, self.maps[min(len(self.maps) - 1, c + 1)].last
             cloud = self._cloud(first, last, self._keyframes.poses[self.maps[c].reference], _MAP_RANGE_M, _MAP_CELL_M)
             made = branch_and_bound.pyramid(cloud, resolution=_RESOLUTION_M, sigma=_SIGMA_M)
             if c + 1 >= len(self.maps):
                 return made
-            self._pyramids[c] = made
-        return self._pyramids[c]
+        self._pyramids[c] = made
+        if len(self._pyramids) > _MOST_PYRAMIDS:
+            del self._pyramids[next(iter(self._pyramids))]
+        return made
 
     def _ways(self, c: int) -> Float:
         """Shortest way (C,) in m along the graph from local map c to the earlier ones."""

@@ -101,6 +101,9 @@ class MapLocalizer(Localizer):
     def finish(self, progress: Progress = silent) -> None:
         """Nothing: the map stays as it is."""
 
+    def begin_refinement(self) -> None:
+        """Nothing: the map stays as it is."""
+
     def _place(self, seen: Beams, step: Float | None) -> Placement:
         if self._given is not None:
             placement = self._look_around(self._given, seen)

@@ -17,6 +17,8 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
 from sensor_msgs.msg import LaserScan
 
 from g2_recon.errors import InputError
@@ -27,6 +29,7 @@ from g2_recon.localization.localized_scan import LocalizedScan
 from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import AnyLocalizer, make_localizer
+from g2_recon.localization.paper import PaperLocalizer
 from g2_recon.localization.resumed import ResumedLocalizer
 from g2_recon.localization.wheel_check import WheelCheck
 from g2_recon.nodes import conversions
@@ -89,7 +92,12 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._latest: LocalizedScan | None = None
         self._matched: deque[bool] = deque(maxlen=_LAST_SCANS)
         self._wheel_check = WheelCheck()
+        # Who waits for a refinement that is to be begun, and for the one that goes on.
+        self._refinement_wanted: list[Future] = []
+        self._refinement_awaited: list[Future] = []
         self._journal = self._open_journal()
+        if self.settings.method == "graph":
+            self.compile_beside(*(() if self.settings.map else ("tracking",)), "localization")
         self._connect()
 
     def _open_journal(self) -> LocalizerJournal:
@@ -136,9 +144,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._keyframe_sender = KeyframeSender(self)
         self.offer_trigger("~/reset", self._reset_on_request)
         self.offer_trigger("~/save", self._save)
+        self.offer_trigger("~/refine", self._refine, group=ReentrantCallbackGroup())
         self.offer_pause()
         self.create_timer(1.0, self._publish_maps, clock=self.steady_clock)
         self.create_timer(_GRACE_S, self._process_waiting, clock=self.steady_clock)
+        self.create_timer(_GRACE_S, self._tend_refinement, clock=self.steady_clock)
         self.listen(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, reliable_qos(1))
         if self.settings.use_odometry:
             self.listen(Odometry, "odom", self._on_odometry, sensor_qos(depth))
@@ -345,6 +355,43 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self._localizer.reset(*([] if start is None else [start]))
         self._maps.restart(self._session)
         self._maps.clear(self._last_stamp)
+
+    async def _refine(self) -> str:
+        """Wait until the timer has done it, between scans."""
+        localizer = self._localizer
+        if isinstance(localizer, (MapLocalizer, PaperLocalizer)):
+            raise InputError("this map is not refined", advice="use method graph and mode mapping")
+        if localizer is None or self._waiting_for_place():
+            raise InputError("there is nothing to refine", advice=self.waiting_for() or "send scans first")
+        answer = Future()
+        self._refinement_wanted.append(answer)
+        return str(await answer)
+
+    def _tend_refinement(self) -> None:
+        """Begin the refinement that somebody waits for, or take the one that is ready."""
+        localizer = self._localizer
+        if self._refinement_awaited and not (isinstance(localizer, Localizer) and localizer.refining):
+            awaited, self._refinement_awaited = self._refinement_awaited, []
+            try:
+                told = self._take_refinement(localizer)
+            except Exception as error:
+                # For whoever asked; it must not end the node.
+                for answer in awaited:
+                    answer.set_exception(error)
+            else:
+                for answer in awaited:
+                    answer.set_result(told)
+        elif self._refinement_wanted and not self._refinement_awaited and isinstance(localizer, Localizer):
+            localizer.begin_refinement()
+            self._refinement_awaited, self._refinement_wanted = self._refinement_wanted, []
+
+    def _take_refinement(self, localizer: AnyLocalizer | None) -> str:
+        if not isinstance(localizer, Localizer) or not localizer.take_refinement():
+            raise InputError("there was nothing to refine, or it was forgotten meanwhile", advice="send scans first")
+        self._journal.write(localizer)
+        self._maps.moved()
+        self._publish_maps()
+        return f"refined {localizer.keyframe_count} keyframes, with {localizer.loops} closed loops"
 
     def _save(self) -> str:
         folder = session_folder(self.settings.session_dir)

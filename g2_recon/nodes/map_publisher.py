@@ -77,6 +77,10 @@ class MapPublisher:
         self._scans.append(scan)
         self._changed = True
 
+    def moved(self) -> None:
+        """All keyframes may lie elsewhere now."""
+        self._changed = True
+
     def publish(self, localizer: AnyLocalizer, stamp: Time) -> None:
         """Have published what has changed since the last time, unless that is still going on."""
         if self._grid is None or (self._work is not None and not self._work.done()):

@@ -81,7 +81,8 @@ class PiecePublisher:
     def publish(self, registered: RegisteredCloud) -> None:
         """Publish points now, also those that do not wait to be renewed."""
         if not self._published:
-            self._subscribers = self._publisher.get_subscription_count()
+            # Whoever is there already gets all from now on, but may have what lives before have published.
+            self._subscribers = 0 if self.former_sources else self._publisher.get_subscription_count()
             self._published = True
         self._newest_stamp = conversions.stamp_message(registered.stamp)
         head = conversions.header(self._newest_stamp, self._frame)

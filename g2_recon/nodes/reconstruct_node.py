@@ -22,14 +22,15 @@ from std_msgs.msg import Header
 
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
-from g2_recon.geometry.cloud import ALL_PIECES, concatenate
+from g2_recon.geometry.cloud import ALL_PIECES, Piece, concatenate
 from g2_recon.nodes import conversions
-from g2_recon.nodes.journals import MessageJournal
+from g2_recon.nodes.journals import MessageJournal, Part
 from g2_recon.nodes.markers import MarkerTopic, drawings_of_mesh, drawings_of_wire_mesh, vertex_errors
 from g2_recon.nodes.parameters import ReconstructParameters
 from g2_recon.nodes.ros import reliable_qos, run
-from g2_recon.nodes.stage_node import StageNode, session_folder
-from g2_recon.reconstruction.collected_cloud import CollectedCloud, Part
+from g2_recon.nodes.stage_node import StageNode, give_back_memory, session_folder
+from g2_recon.reconstruction import collected_cloud
+from g2_recon.reconstruction.collected_cloud import CollectedCloud
 from g2_recon.reconstruction.face_errors import face_errors
 from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.reconstructor import reconstruct
@@ -81,6 +82,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         for topic in self.settings.cloud_topics:
             qos = reliable_qos(self.settings.queue_depth)
             self.listen(PointCloud2, topic, takers[topic][1], qos)
+        if self.settings.mode == "solid":
+            # Clouds are taken in meanwhile, and written to the journal.
+            self.compile_beside("reconstruction", hold=False)
         self._ending = Event()
         self._beside = Thread(target=self._work_beside, name="reconstruct_node beside", daemon=True)
         self._beside.start()
@@ -139,11 +143,23 @@ class ReconstructNode(StageNode[ReconstructParameters]):
                 self._accepted += 1
                 self._newest_stamp = max(self._newest_stamp, message.header.stamp, key=conversions.stamp_seconds)
         if not refused:
-            self._journal.keep(topic, message)
+            self._keep(topic, message, piece)
         else:
+            self._journal.leave_out()
             self.drops["cloud while paused" if refused == "left out" else f"cloud {refused}"] += 1
 
+    def _keep(self, topic: str, message: PointCloud2, piece: Piece | None) -> None:
+        if piece is None:
+            self._journal.keep(topic, message)
+            return
+        group = topic, piece.source
+        if piece.number == ALL_PIECES:
+            self._journal.forget(group)
+        self._journal.keep(topic, message, Part(group, piece.number, piece.revision))
+
     def _reconstruct(self) -> str:
+        while self.compiling and self.context.ok() and not self._ending.is_set():
+            self._ending.wait(_LOOK_S)
         if not self._reconstructing.acquire(blocking=False):
             raise InputError("a reconstruction is being made", advice="wait until it is done")
         try:
@@ -162,6 +178,8 @@ class ReconstructNode(StageNode[ReconstructParameters]):
 
     def _look(self) -> None:
         try:
+            if self.compiling:
+                return
             if self._is_due():
                 self._rebuild(anew=False)
             elif self._result is not None and self._drawn_by != self.settings.color_by:
@@ -202,6 +220,8 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         finally:
             self._stage = ""
             self._building.release()
+            # Each update works with copies of all points, of which the memory would else grow by half.
+            give_back_memory()
 
     def _draw_again(self) -> None:
         """Show the mesh there is in other colors."""
@@ -211,7 +231,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
             if self._result is not None:
                 self._show(self._result, parts, conversions.header(stamp, self.settings.map_frame), resets)
 
-    def _show(self, result: Reconstruction, parts: Mapping[Hashable, Part], head: Header, resets: int) -> None:
+    def _show(
+        self, result: Reconstruction, parts: Mapping[Hashable, collected_cloud.Part], head: Header, resets: int
+    ) -> None:
         """Publish a result, unless what it was made of was forgotten meanwhile."""
         color_by = self.settings.color_by
         errors = of_vertices = None
@@ -229,7 +251,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
                 self._wire_mesh_topic.show(head, wire_mesh, monotonic())
                 self._mesh_topic.show(head, mesh, monotonic())
 
-    def _made(self, parts: dict[Hashable, Part], settings: ReconstructParameters, *, anew: bool) -> Reconstruction:
+    def _made(
+        self, parts: dict[Hashable, collected_cloud.Part], settings: ReconstructParameters, *, anew: bool
+    ) -> Reconstruction:
         if settings.mode == "paper" or settings.rebuild == "on_request":
             self._growing = None
             cloud = concatenate([part.cloud for part in parts.values()])

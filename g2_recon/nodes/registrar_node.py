@@ -49,6 +49,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
         depth = self.settings.queue_depth
         self._cloud = PiecePublisher(self, self.settings.map_frame, depth)
         self.offer_trigger("~/reset", self._reset)
+        self.compile_beside("registration")
         takers = {
             "source": (UInt32, lambda message: self._cloud.former_sources.append(message.data)),
             "pose": (PoseStamped, self._add_pose),
@@ -92,6 +93,7 @@ class RegistrarNode(StageNode[RegistrarParameters]):
             values["scans that wait for a pose"] = self._registrar.waiting
             values["scans kept to be placed anew"] = self._registrar.kept
             values["scans too old to be placed anew"] = self._registrar.released
+            values["scans of a standing robot that were not needed"] = self._registrar.redundant
             values["pieces placed anew"] = self._cloud.renewed
             values["pieces to be placed anew"] = self._registrar.to_renew
             values |= self._registrar_drops()

@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import re
 import traceback
-from collections import Counter
-from collections.abc import Callable, Iterable
+from collections import Counter, deque
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from pathlib import Path
+from time import monotonic
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -28,6 +30,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se3
 from g2_recon.nodes import parameters
 from g2_recon.nodes.inputs import Input
+from g2_recon.nodes.kernels import KernelCompiler
 from g2_recon.nodes.ros import Transforms
 
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -42,6 +45,8 @@ _PERIOD_S = 1.0
 _LOGGED_AFTER = 4
 # A stream that has been silent for so long has stopped.
 _SILENT_S = 2.0
+# How often it is looked whether kernels are compiled, and how long what was held is then handed on at a time.
+_COMPILED_PERIOD_S, _HAND_ON_S = 0.1, 0.01
 
 
 class StageNode(Node, Generic[Settings]):
@@ -58,6 +63,10 @@ class StageNode(Node, Generic[Settings]):
         self.faults: dict[str, str] = {}
         self.paused = False
         self._said: set[str] = set()
+        # What came while kernels are compiled, with what takes it; None once nothing is held any more.
+        self._compiler: KernelCompiler | None = None
+        self._held: deque[tuple[Input, Callable[[Any], None], Any]] | None = None
+        self._held_for = ""
         self._lasting: Counter[str] = Counter()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Not on ROS time: without a /clock, diagnostics are what one needs.
@@ -95,10 +104,58 @@ class StageNode(Node, Generic[Settings]):
 
         def receive(message: Any) -> None:
             source.note(message)
+            if self._held is not None:
+                self._held.append((source, take, message))
+                return
             take(message)
             source.taken()
 
         self.create_subscription(kind, topic, receive, qos, event_callbacks=source.events(), raw=raw)
+
+    def compile_beside(self, *parts: str, hold: bool = True) -> None:
+        """Where this is the first time ever, compile kernels (see g2_recon.warm_up) in a process beside the node.
+
+        hold: messages wait, in their order, until the first of the parts is compiled.
+        """
+        self._compiler = KernelCompiler(parts)
+        if not self._compiler.parts_left():
+            return
+        self.get_logger().warning(
+            "compiling kernels, this first time ever: work begins in half a minute or more, and what comes until then "
+            "waits; `python -m g2_recon.warm_up` does it beforehand"
+        )
+        self._held_for = parts[0]
+        self._held = deque() if hold and self._held_for in self._compiler.parts_left() else None
+        self._compiled_timer = self.create_timer(_COMPILED_PERIOD_S, self._look_at_compiler, clock=self.steady_clock)
+
+    @property
+    def compiling(self) -> Sequence[str]:
+        """The parts that are still being compiled beside."""
+        return () if self._compiler is None else self._compiler.parts_left()
+
+    def destroy_node(self) -> None:
+        """End the compiler beside."""
+        if self._compiler is not None:
+            self._compiler.close()
+        super().destroy_node()
+
+    def _look_at_compiler(self) -> None:
+        """Hand on what was held, some milliseconds at a time, once the first part is compiled."""
+        left = self.compiling
+        if self._held is None:
+            if not left:
+                self._compiled_timer.cancel()
+            return
+        if self._held_for in left:
+            return
+        end = monotonic() + _HAND_ON_S
+        while self._held and monotonic() < end:
+            source, take, message = self._held.popleft()
+            take(message)
+            source.taken()
+        if not self._held:
+            self._held = None
+            self.get_logger().info("the kernels are compiled, and what waited for them is done")
 
     def drop(self, reason: str, detail: str = "") -> None:
         """Count something that is not used; the first of each reason is also logged."""
@@ -136,12 +193,18 @@ class StageNode(Node, Generic[Settings]):
             return self.not_received(topic)
         return f"`{self.inputs[topic].topic}` has stopped: nothing came for {silent:.0f} s"
 
-    def offer_trigger(self, name: str, action: Callable[[], str], *, group: CallbackGroup | None = None) -> None:
-        """A Trigger service: success with the text that `action` returns, or failure with that of its InputError."""
+    def offer_trigger(
+        self, name: str, action: Callable[[], str | Awaitable[str]], *, group: CallbackGroup | None = None
+    ) -> None:
+        """A Trigger service: success with the text that `action` returns, or failure with that of its InputError.
 
-        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        A coroutine may wait for what other callbacks do, in a reentrant group.
+        """
+
+        async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                response.message = action()
+                told = action()
+                response.message = told if isinstance(told, str) else await told
                 response.success = True
             except InputError as error:
                 response.message = str(error)
@@ -174,7 +237,7 @@ class StageNode(Node, Generic[Settings]):
     def _publish_diagnostics(self) -> None:
         for source in self.inputs.values():
             source.tick()
-        waiting = self.waiting_for()
+        waiting = self._waiting_for_kernels() or self.waiting_for()
         doubts = "; ".join(filter(None, [self._no_clock(), *([waiting] if waiting else self.doubts())]))
         self._log_what_lasts(doubts)
         level = DiagnosticStatus.ERROR if self.faults else DiagnosticStatus.WARN if doubts else DiagnosticStatus.OK
@@ -199,6 +262,11 @@ class StageNode(Node, Generic[Settings]):
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+
+    def _waiting_for_kernels(self) -> str:
+        if self._held is None:
+            return ""
+        return f"compiling kernels, this first time ever: {len(self._held)} messages wait"
 
     def _no_clock(self) -> str:
         """Words for simulated time that nobody gives."""
@@ -225,6 +293,13 @@ def memory_mb() -> float:
     except (OSError, ValueError, IndexError):
         return 0.0
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def give_back_memory() -> None:
+    """Have the C library give back to the system what it keeps of large arrays that are gone, where it can (glibc)."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)
 
 
 def session_folder(session_dir: str) -> Path:

@@ -13,15 +13,16 @@ that was being written. `sync` brings all of it to the disk: a failure of power 
 from __future__ import annotations
 
 import fcntl
+import glob
 import os
 import stat
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from threading import RLock
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 from uuid import uuid4
 from zlib import crc32
 
@@ -34,6 +35,61 @@ _MAGIC = b"g2recon journal 1\n"
 _NUMBERS = struct.Struct("<II")
 _CHECK = struct.Struct("<I")
 _HEAD_BYTES = _NUMBERS.size + _CHECK.size
+# Of the names of files beside.
+_NAME_DIGITS = 8
+
+
+class Span(NamedTuple):
+    """Where a record lies in its file, bytes."""
+
+    begin: int
+    end: int
+
+    @property
+    def size(self) -> int:
+        """How many bytes it takes."""
+        return self.end - self.begin
+
+
+class Copy:
+    """Records of a journal, but for some, on their way to a file beside.
+
+    until: where what is appended meanwhile begins. places: where each record lies now, by where it began.
+    """
+
+    def __init__(self, path: Path, file: int, until: int, left_out: Container[int]) -> None:
+        """file: of the journal, opened for this copy. left_out: where the others begin."""
+        self.until = until
+        self.places: dict[int, Span] = {}
+        self._left_out, self._file = left_out, file
+        self._beside = _beside(path)
+        self.journal: Journal | None = None
+
+    def write(self) -> None:
+        """Write it, in any thread. Raises JournalError."""
+        try:
+            self.journal = Journal(self._beside)
+            for payload, span in _whole(self._file, self.until, len(_MAGIC)):
+                if span.begin not in self._left_out:
+                    self.places[span.begin] = self.journal.append(payload)
+            self.journal.sync()
+        except OSError as error:
+            self.discard()
+            raise JournalError(f"cannot be read: {error.strerror or error}", where=self._beside) from error
+        except BaseException:
+            self.discard()
+            raise
+
+    def discard(self) -> None:
+        """Give it up, or what is left of it once it was adopted."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1
+        if self.journal is not None:
+            self.journal.close()
+        self.journal = None
+        with suppress(OSError):
+            self._beside.unlink(missing_ok=True)
 
 
 class Journal:
@@ -55,6 +111,10 @@ class Journal:
         except BaseException:
             self.close()
             raise
+        # Of a writer that was killed while it wrote a copy.
+        for left in self.path.parent.glob(f".{glob.escape(self.path.name)}.{'[0-9a-f]' * _NAME_DIGITS}"):
+            with suppress(OSError):
+                left.unlink()
 
     def _open(self) -> int:
         try:
@@ -119,15 +179,18 @@ class Journal:
 
         Raises JournalError where the file cannot be read.
         """
+        for payload, _ in self.located():
+            yield payload
+
+    def located(self) -> Iterator[tuple[bytes, Span]]:
+        """As `records`, with where each lies."""
         try:
-            for payload, _ in _records(self._file, self._end):
-                if payload is not None:
-                    yield payload
+            yield from _whole(self._file, self._end, len(_MAGIC))
         except OSError as error:
             self._refuse(error)
 
-    def append(self, payload: bytes) -> None:
-        """Append a record. Raises JournalError where the disk is full or the file system refuses.
+    def append(self, payload: bytes) -> Span:
+        """Append a record; where it lies. Raises JournalError where the disk is full or the file system refuses.
 
         The journal is then as it was before.
         """
@@ -141,7 +204,8 @@ class Journal:
             with suppress(OSError):
                 os.ftruncate(self._file, self._end)
             self._refuse(error)
-        self._end += len(record)
+        begin, self._end = self._end, self._end + len(record)
+        return Span(begin, self._end)
 
     def sync(self) -> None:
         """Wait until all that was appended is on the disk. Raises JournalError where the file system refuses."""
@@ -158,7 +222,7 @@ class Journal:
 
         That of `append`; the journal is then as it was before.
         """
-        beside = self.path.with_name(f".{self.path.name}.{uuid4().hex[:8]}")
+        beside = _beside(self.path)
         try:
             new = Journal(beside)
             try:
@@ -177,6 +241,37 @@ class Journal:
         with self._changing:
             os.close(self._file)
             self._file, self._end, self.damaged = new._file, new._end, 0
+
+    def copy_without(self, left_out: Container[int]) -> Copy:
+        """A copy of the records but for those that begin there, to be written while others are appended, and adopted.
+
+        Whoever writes it discards it where it is not adopted.
+        """
+        return Copy(self.path, os.dup(self._file), self._end, left_out)
+
+    def adopt(self, copy: Copy) -> dict[int, Span]:
+        """Put a copy that is written, and what was appended since it was begun, in the place of all, at once.
+
+        Where its records lie now, by where they began. Raises JournalError; the journal is then as it was before.
+        """
+        new = copy.journal
+        if new is None:
+            raise JournalError("the copy was not written", where=self.path)
+        try:
+            for payload, span in _whole(self._file, self._end, copy.until):
+                copy.places[span.begin] = new.append(payload)
+            new.path.replace(self.path)
+        except OSError as error:
+            copy.discard()
+            self._refuse(error)
+        except BaseException:
+            copy.discard()
+            raise
+        with self._changing:
+            os.close(self._file)
+            self._file, self._end, self.damaged = os.dup(new._file), new._end, 0
+        copy.discard()
+        return copy.places
 
     def clear(self) -> None:
         """Begin anew; what there was is kept beside, in a file of the same name with the ending `.before`.
@@ -213,9 +308,21 @@ class Journal:
         ) from error
 
 
-def _records(file: int, size: int) -> Iterator[tuple[bytes | None, int]]:
+def _beside(path: Path) -> Path:
+    """A name that no other file has."""
+    return path.with_name(f".{path.name}.{uuid4().hex[:_NAME_DIGITS]}")
+
+
+def _whole(file: int, size: int, begin: int) -> Iterator[tuple[bytes, Span]]:
+    """The records from one on that are not damaged."""
+    for payload, end in _records(file, size, begin):
+        if payload is not None:
+            yield payload, Span(begin, end)
+        begin = end
+
+
+def _records(file: int, size: int, begin: int = len(_MAGIC)) -> Iterator[tuple[bytes | None, int]]:
     """Payload of each record, None for one that is damaged, and where it ends; up to where no head is whole."""
-    begin = len(_MAGIC)
     while length := _payload_length(file, begin, size):
         payload = os.pread(file, length[0], begin + _HEAD_BYTES)
         begin += _HEAD_BYTES + length[0]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from g2_recon.config import RegistrationConfig
 from g2_recon.geometry.cloud import Cloud, concatenate
@@ -29,6 +30,8 @@ _POSES_KEPT_S = 2.0
 _MOST_BEAMS = 3000
 # Of so many latest scans the stamps are known, to tell when one comes again.
 _STAMPS_KEPT = 10_000
+# A robot that has moved less than this stands, m and rad: the localizer is surer than that.
+_STANDING_M, _STANDING_RAD = 0.02, 0.01
 
 
 @dataclass(slots=True)
@@ -49,7 +52,8 @@ class Registrar:
 
     With `keep_scans` the cloud follows the localizer: `follow` tells where its keyframes are now, and `renew` hands out
     anew, piece by piece, what has moved. A piece is the scans between two calls of `follow`, or fewer. It takes memory
-    for each scan, up to `kept_scans`, and 64 bytes for each pose.
+    for each scan, up to `kept_scans`, and 64 bytes for each pose. While the robot stands, `standing_scans` are enough;
+    others are not handed out, and counted as `redundant`.
     """
 
     def __init__(self, config: RegistrationConfig, T_base_laser: ArrayLike, *, keep_scans: bool = False) -> None:
@@ -78,6 +82,9 @@ class Registrar:
         self._to_renew: dict[int, None] = {}
         self._kept = 0
         self.released = 0
+        # Where the robot came to stand, as position and rotation, and how many scans there are from there.
+        self._standing: tuple[Float, Rotation, int] | None = None
+        self.redundant = 0
 
     def configure(self, config: RegistrationConfig) -> None:
         """Take other settings for the scans that are not placed yet."""
@@ -210,12 +217,28 @@ class Registrar:
     def _register(self, scan: Scan) -> None:
         """Place a scan and hand it out, or count why it cannot be placed."""
         first, last = sorted((scan.stamp, scan.stamp + scan.time_increment * (len(scan.ranges) - 1)))
-        placed = self._place(scan, self._trajectory.between(first, last))
+        poses = self._trajectory.between(first, last)
+        placed = self._place(scan, poses)
         if not isinstance(placed, Cloud):
             self._drops[placed] += 1
             return
+        if self._keep_scans and self._stands(poses):
+            self.redundant += 1
+            return
         number = self._keep(scan, first, last) if self._keep_scans else self._open
         self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), number))
+
+    def _stands(self, poses: Poses) -> bool:
+        """Whether there are enough scans from where the robot is at the first of these poses."""
+        position, turn = poses.positions[0], Rotation.from_quat(poses.quaternions[0])
+        if self._standing is not None:
+            there, turned, count = self._standing
+            moved = np.linalg.norm(position - there), (turned.inv() * turn).magnitude()
+            if moved[0] < _STANDING_M and moved[1] < _STANDING_RAD:
+                self._standing = there, turned, count + 1
+                return count >= self._config.standing_scans
+        self._standing = position.copy(), turn, 1
+        return False
 
     def _place(self, scan: Scan, poses: Poses) -> Cloud | str:
         """The points of a scan, or why it cannot be placed."""

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,12 +68,17 @@ class Simulation:
     clean_vertical: Float
 
 
-def simulate(config: SimulationConfig, *, progress: Progress = silent) -> Simulation:
-    """Drive the robot through the building and record. The same settings give the same result."""
+def simulate(
+    config: SimulationConfig, *, legs: Sequence[ArrayLike] | None = None, progress: Progress = silent
+) -> Simulation:
+    """Drive the robot through the building and record. The same settings give the same result.
+
+    legs: another way than that of the setup; see `drive`.
+    """
     rectangles = surfaces(first_floor())
     rng, *laser_rngs = (np.random.default_rng(child) for child in np.random.SeedSequence(config.seed).spawn(3))
-    record = _record_driving if config.setup == "orthogonal" else _record_standing
-    robot, recording, hits = record(config, rectangles, laser_rngs, progress)
+    record, usual = (_record_driving, FULL_TOUR) if config.setup == "orthogonal" else (_record_standing, SWEEP_TOUR)
+    robot, recording, hits = record(usual if legs is None else legs, config, rectangles, laser_rngs, progress)
     odometry = _resample(wheel_odometry(robot.trajectory, config, rng), config.odometry_rate)
 
     T_map_building = se3.inverse(robot.trajectory.matrices()[0])
@@ -99,10 +104,14 @@ class _Laser:
 
 
 def _record_driving(
-    config: SimulationConfig, rectangles: Rectangles, rngs: list[np.random.Generator], progress: Progress
+    legs: Sequence[ArrayLike],
+    config: SimulationConfig,
+    rectangles: Rectangles,
+    rngs: list[np.random.Generator],
+    progress: Progress,
 ) -> tuple[Drive, Recording, Float]:
-    """Horizontal and vertical scans on the tour through every room, and the hits of the vertical beams."""
-    robot = drive(FULL_TOUR, config, start=START, rest=REST)
+    """Horizontal and vertical scans on a way, and the hits of the vertical beams."""
+    robot = drive(legs, config, start=START, rest=REST)
     whole = robot.trajectory.stamps[[0, -1]]
     scans = []
     for frame_id, pose, every, rng in (
@@ -123,11 +132,15 @@ def _record_driving(
 
 
 def _record_standing(
-    config: SimulationConfig, rectangles: Rectangles, rngs: list[np.random.Generator], progress: Progress
+    legs: Sequence[ArrayLike],
+    config: SimulationConfig,
+    rectangles: Rectangles,
+    rngs: list[np.random.Generator],
+    progress: Progress,
 ) -> tuple[Drive, Recording, Float]:
-    """Sweeps, alternately up and down, at the stops of the short tour, and the hits of their beams."""
+    """Sweeps, alternately up and down, at the stops of a way, and the hits of their beams."""
     duration = abs(SWEEP_TO - SWEEP_FROM) / SWEEP_RATE
-    robot = drive(SWEEP_TOUR, config, start=START, rest=duration + 2 * REST)
+    robot = drive(legs, config, start=START, rest=duration + 2 * REST)
     sweeps = robot.stops[:, :1] + REST + np.array([0.0, duration])
     upward = np.arange(len(sweeps)) % 2 == 0
     ends = np.where(upward[:, None], [SWEEP_FROM, SWEEP_TO], [SWEEP_TO, SWEEP_FROM])

@@ -351,6 +351,62 @@ def test_finishing_keeps_a_drive_that_is_right(scan_of_room):
     assert ("refinement", 5, 5) in told
 
 
+@pytest.fixture(scope="module")
+def refined(scans_of_the_halls, slipping_in_the_halls):
+    """A localizer as on a robot, refined at the end."""
+    localizer, _ = localize(scans_of_the_halls, slipping_in_the_halls)
+    localizer.begin_refinement()
+    assert localizer.take_refinement()
+    return localizer
+
+
+def test_refining_beside_does_with_keyframes_what_finishing_does(refined, closed):
+    np.testing.assert_array_equal(refined.keyframes().planar(), closed[0].keyframes().planar())
+    assert not refined.take_refinement()
+
+
+def test_after_a_refinement_the_graph_of_loops_is_at_rest(refined):
+    assert refined.loops > 0
+    before = refined._loops.poses.copy()
+    np.testing.assert_array_equal(before, refined._keyframes.poses[[m.reference for m in refined._loops.maps]])
+    refined._loops.optimize()
+    # Solved in floating point.
+    np.testing.assert_allclose(refined._loops.poses, before, atol=1e-9)
+
+
+def test_after_a_refinement_the_drive_goes_on_where_the_robot_is(
+    scans_of_the_halls, slipping_in_the_halls, truth_in_the_halls, closed
+):
+    count = len(scans_of_the_halls) - 20
+    localizer, _ = localize(scans_of_the_halls[:count], slipping_in_the_halls)
+    localizer.begin_refinement()
+    came = [localizer.process(scans_of_the_halls[i], slipping_in_the_halls[i]) for i in range(count, count + 10)]
+    refined = localizer.keyframe_count - sum(result.keyframe for result in came)
+    ways = se2.relative(localizer._keyframes.poses[refined - 1], localizer._keyframes.poses[refined:])
+    assert len(ways)
+    assert localizer.take_refinement()
+    # What came meanwhile is moved as one with the last keyframe that was refined.
+    moved = se2.relative(localizer._keyframes.poses[refined - 1], localizer._keyframes.poses[refined:])
+    np.testing.assert_allclose(moved, ways, atol=1e-9)
+    later = [localizer.process(scans_of_the_halls[i], slipping_in_the_halls[i]) for i in range(count + 10, count + 20)]
+    truth = se2.relative(truth_in_the_halls[0], truth_in_the_halls)[count + 10 : count + 20]
+    off = np.hypot(*(np.array([result.pose for result in later]) - truth)[:, :2].T)
+    # As far as the finished drive is off at its end, and some centimetres of what came since.
+    finished = np.hypot(*(closed[3][-1] - se2.relative(truth_in_the_halls[0], truth_in_the_halls)[-1])[:2])
+    assert off.max() < finished + 0.05
+    assert all(result.matched for result in later)
+
+
+def test_a_reset_forgets_a_refinement(scan_of_room):
+    localizer, _ = localize(scans_of(scan_of_room, drive(), noise=0.01))
+    localizer.begin_refinement()
+    localizer.reset()
+    assert not localizer.refining
+    assert not localizer.take_refinement()
+    localizer.begin_refinement()
+    assert not localizer.take_refinement()
+
+
 def test_a_robot_carried_away_begins_a_new_segment_that_joins_the_map_where_it_knows_its_place(
     scan_of_halls, drive_along
 ):

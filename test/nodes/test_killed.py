@@ -18,16 +18,17 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry import se2, se3
-from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.cloud import Cloud, Piece
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization.localizer import Localizer
-from g2_recon.nodes import conversions
+from g2_recon.nodes import conversions, journals
 from g2_recon.nodes.localizer_node import LocalizerNode
 from g2_recon.nodes.reconstruct_node import ReconstructNode
 from g2_recon.nodes.ros import LATCHED
@@ -287,6 +288,38 @@ def test_a_hostile_journal_is_counted_and_the_node_goes_on(ros, tmp_path):
     harness.wait_until(
         lambda: diagnostics and ("points", "200") in [(p.key, p.value) for p in diagnostics[-1].status[0].values]
     )
+
+
+def test_clouds_that_were_replaced_are_left_out_of_the_journal_and_nothing_is_lost(ros, tmp_path, monkeypatch):
+    monkeypatch.setattr(journals, "_FEW_BYTES", 0)
+    path = tmp_path / "clouds.journal"
+
+    def piece(number, revision, seed):
+        cloud = conversions.cloud_from_message(wall(seed))
+        return conversions.cloud_to_message(Header(frame_id="map"), cloud, Piece(7, number, revision))
+
+    harness = ros("-p", f"session_dir:={tmp_path}", *SMALL)
+    node = harness.add(ReconstructNode)
+    publisher = harness.publisher(PointCloud2, "cloud")
+    publisher.publish(wall(0))
+    publisher.publish(piece(0, 0, 1))
+    harness.wait_until(lambda: len(node._collected) == 400)
+    one = path.stat().st_size / 2
+    for revision in range(1, 13):
+        publisher.publish(piece(0, revision, 10 + revision))
+        if revision % 4 == 0:
+            publisher.publish(piece(revision, 0, 40 + revision))
+    harness.wait_until(lambda: node.received["cloud"] == 17)
+    # Five of them count; what was replaced after the first copy was begun may be left until the next one.
+    harness.wait_until(lambda: path.stat().st_size < 12 * one)
+    publisher.publish(piece(20, 0, 30))
+    harness.wait_until(lambda: len(node._collected) == 1200)
+    expected = node._collected.cloud().points
+    collected = CollectedCloud()
+    for payload in node._journal.journal.records():
+        message = deserialize_message(payload[1 + payload[0] :], PointCloud2)
+        collected.add(conversions.cloud_from_message(message), conversions.piece_from_message(message), topic="cloud")
+    np.testing.assert_array_equal(collected.cloud().points, expected)
 
 
 def test_a_registrar_that_is_killed_still_moves_the_points_of_its_life_before(robot, room_scan):

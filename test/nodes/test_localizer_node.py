@@ -273,3 +273,23 @@ def test_save_without_a_folder_says_which_parameter_to_set(drive):
     room.wait_for_poses(1)
     answer = room.call(Trigger, "localizer_node/save")
     assert not answer.success and "session_dir" in answer.message
+
+
+def test_refine_answers_when_the_map_is_refined_and_told(drive):
+    room = drive()
+    answer = room.call(Trigger, "localizer_node/refine")
+    assert not answer.success and "there is nothing to refine" in answer.message
+    for step in range(4):
+        room.scan(100.0 + 0.1 * step, (0.3 * step, 0.0, 0.0))
+    room.wait_for_poses(4)
+    trajectories = room.collect(Path, "trajectory", LATCHED)
+    both = [room.call_async(Trigger, "localizer_node/refine") for _ in range(2)]
+    room.wait_until(lambda: all(future.done() for future in both))
+    assert [future.result().message for future in both] == ["refined 4 keyframes, with 0 closed loops"] * 2
+    room.wait_until(lambda: trajectories and len(trajectories[-1].poses) == 4)
+    places = [pose.pose.position.x for pose in trajectories[-1].poses]
+    # Noise-free scans.
+    np.testing.assert_allclose(places, [0.0, 0.3, 0.6, 0.9], atol=0.01)
+    room.scan(100.5, (1.0, 0.0, 0.0))
+    room.wait_for_poses(5)
+    np.testing.assert_allclose(planar(room.poses[-1]), (1.0, 0.0, 0.0), atol=0.01)

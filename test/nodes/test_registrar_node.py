@@ -13,8 +13,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan, PointCloud2
-from std_msgs.msg import Header
+from std_msgs.msg import Header, UInt32
 from std_srvs.srv import Trigger
 
 from g2_recon.geometry.cloud import ALL_PIECES
@@ -22,6 +23,7 @@ from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.nodes import conversions
 from g2_recon.nodes.registrar_node import RegistrarNode
 from g2_recon.nodes.ros import LATCHED
+from g2_recon.recording.journal import Journal
 
 MOUNTED = ("-p", f"laser_pose:=[0.0,0.0,0.6,0.0,{-math.pi / 2},0.0]")
 
@@ -37,7 +39,7 @@ def drive(ros, room_scan):
 
     def start(*arguments):
         harness = ros(*(arguments or MOUNTED))
-        harness.add(RegistrarNode)
+        harness.node = harness.add(RegistrarNode)
         harness.clouds = harness.collect(PointCloud2, "cloud")
         harness.diagnostics = harness.collect(DiagnosticArray, "/diagnostics")
         scans = harness.publisher(LaserScan, "scan_vertical")
@@ -226,3 +228,21 @@ def test_reset_forgets_waiting_scans(drive):
     robot.wait_until(lambda: value(robot.diagnostics, "scans that wait for a pose") == "1")
     assert robot.call(Trigger, "registrar_node/reset").success
     robot.wait_until(lambda: value(robot.diagnostics[-1:], "scans that wait for a pose") == "0")
+
+
+def test_what_a_life_before_has_published_is_taken_back_also_from_whoever_is_there_already(drive, tmp_path):
+    journal = Journal(tmp_path / "scans.journal")
+    journal.append(b"\x06source" + serialize_message(UInt32(data=5)))
+    journal.close()
+    robot = drive(*MOUNTED, "-p", f"session_dir:={tmp_path}")
+    robot.wait_until(lambda: robot.node._cloud._subscribers == 1)
+    robot.pose(99.9)
+    robot.scan(100.0)
+    robot.pose(100.1)
+
+    def pieces():
+        return [conversions.piece_from_message(cloud) for cloud in robot.clouds]
+
+    robot.wait_until(lambda: (5, ALL_PIECES) in [(piece.source, piece.number) for piece in pieces()])
+    # What came of this life meanwhile comes once more.
+    robot.wait_until(lambda: pieces()[-1].revision == 1)

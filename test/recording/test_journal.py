@@ -265,3 +265,66 @@ for number in range(1_000_000):
     found = read(path)
     assert said + 1 <= len(found) <= said + 2
     assert found == [number.to_bytes(4, "little") * (1 + number % 500) for number in range(len(found))]
+
+
+def copied(journal, left_out, meanwhile=()):
+    """The journal after a copy without these records took its place, and others were appended meanwhile."""
+    copy = journal.copy_without({span.begin for payload, span in journal.located() if payload in left_out})
+    for payload in meanwhile:
+        journal.append(payload)
+    copy.write()
+    return journal.adopt(copy)
+
+
+def test_a_copy_without_some_records_takes_the_place_of_the_journal_with_what_was_appended_meanwhile(tmp_path):
+    write(tmp_path / "a")
+    journal = Journal(tmp_path / "a")
+    before = dict(journal.located())
+    places = copied(journal, {b"one", b"last"}, [b"meanwhile"])
+    kept = [payload for payload in PAYLOADS if payload not in (b"one", b"last")]
+    assert list(journal.records()) == [*kept, b"meanwhile"]
+    now = dict(journal.located())
+    assert {payload: places[before[payload].begin] for payload in kept} == {payload: now[payload] for payload in kept}
+    journal.append(b"later")
+    with pytest.raises(JournalError, match="in use by another process"):
+        Journal(tmp_path / "a")
+    journal.close()
+    assert read(tmp_path / "a") == [*kept, b"meanwhile", b"later"]
+    assert [file.name for file in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("taken", [False, True])
+def test_a_writer_that_is_killed_at_any_byte_of_a_copy_loses_nothing(tmp_path, taken):
+    """Until the copy takes the place of the journal it lies beside, cut anywhere; from then on it is the journal."""
+    path = tmp_path / "a"
+    write(path)
+    journal = Journal(path)
+    copy = journal.copy_without({span.begin for payload, span in journal.located() if payload == b"one"})
+    copy.write()
+    beside = next(file for file in tmp_path.iterdir() if file.name != "a")
+    content = beside.read_bytes()
+    if taken:
+        journal.adopt(copy)
+    else:
+        # As the end of the process does.
+        copy.discard()
+    kept = [payload for payload in PAYLOADS if payload != b"one"]
+    journal.close()
+    for length in range(len(content) + 1):
+        if not taken:
+            beside.write_bytes(content[:length])
+        assert read(path) == (kept if taken else PAYLOADS)
+        assert [file.name for file in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_copy_that_is_given_up_leaves_nothing(tmp_path):
+    write(tmp_path / "a")
+    journal = Journal(tmp_path / "a")
+    copy = journal.copy_without(())
+    copy.write()
+    copy.discard()
+    with pytest.raises(JournalError, match="the copy was not written"):
+        journal.adopt(copy)
+    journal.append(b"new")
+    assert list(journal.records()) == [*PAYLOADS, b"new"]
+    assert [file.name for file in tmp_path.iterdir()] == ["a"]

@@ -275,7 +275,7 @@ def test_a_released_scan_is_not_replaced_by_later_ones_of_its_piece():
 
 
 def test_pieces_are_small_though_the_robot_stands_and_no_keyframe_comes():
-    stage = Registrar(RegistrationConfig(), UP, keep_scans=True)
+    stage = Registrar(RegistrationConfig(standing_scans=300), UP, keep_scans=True)
     for step in range(300):
         stage.add_pose(0.1 * step, moving(0))
         stage.add_scan(scan(0.1 * step, np.ones(181)))
@@ -283,6 +283,21 @@ def test_pieces_are_small_though_the_robot_stands_and_no_keyframe_comes():
     # 3000 beams.
     assert max(counts.values()) == 16
     assert len(counts) == 19
+
+
+def test_from_a_robot_that_stands_some_scans_are_enough_until_it_moves_on():
+    rng = np.random.default_rng(0)
+    stage = Registrar(RegistrationConfig(standing_scans=5), UP, keep_scans=True)
+    # It stands at 0 m, drives on, turns at 1 m and stands at 2 m; what it is told of its place is off by millimetres.
+    way = [(0, 0, 0)] * 50 + [(0.1 * k, 0, 0) for k in range(1, 11)] + [(1, 0, 0.1 * k) for k in range(1, 11)]
+    way += [(2, 0, 0)] * 50
+    for step, pose in enumerate(way):
+        noise = rng.uniform(-0.003, 0.003, 3) * (1, 1, 0.3)
+        stage.add_pose(0.1 * step, se3.from_se2(np.array(pose) + noise))
+        stage.add_scan(scan(0.1 * step))
+    assert len(stage.take()) == stage.kept == 5 + 10 + 10 + 5
+    assert stage.redundant == 2 * 45
+    assert stage.drops == {}
 
 
 def test_a_voxel_keeps_its_first_point():

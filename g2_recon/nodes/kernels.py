@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels that are compiled the first time ever: in a process beside the node, which answers meanwhile."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from threading import Lock
+
+# What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
+_LATE = {
+    "tracking": (
+        "localization.pairing:match",
+        "localization.pose_graph:solve_window",
+        "localization.uncertainty:_led_on",
+    ),
+    "localization": ("localization.loop_closure:register", "localization.branch_and_bound:find_places"),
+    "registration": ("registration.placing:place_beams",),
+    "reconstruction": (
+        "reconstruction.normals:_fit_local_planes",
+        "reconstruction.flat_submaps:_train",
+        "reconstruction.advancing_front:_advance",
+    ),
+}
+
+
+class KernelCompiler:
+    """Compiles parts of g2_recon.warm_up, one after the other, as far as Numba does not have them on its disk."""
+
+    def __init__(self, parts: Sequence[str]) -> None:
+        """Begin with the first one."""
+        self._parts = [part for part in parts if not are_cached(part)]
+        self._process: subprocess.Popen[bytes] | None = None
+        # Other threads of a node may ask, too.
+        self._asking = Lock()
+        self.parts_left()
+
+    def parts_left(self) -> Sequence[str]:
+        """What is not compiled yet; to be asked now and then, so that the next one begins when one is done."""
+        with self._asking:
+            if self._process is not None and self._process.poll() is not None:
+                # Where it failed, the node compiles what it needs.
+                self._process = None
+                self._parts.pop(0)
+            if self._process is None and self._parts:
+                self._process = subprocess.Popen([sys.executable, "-m", "g2_recon.warm_up", self._parts[0]])
+            return tuple(self._parts)
+
+    def close(self) -> None:
+        """Give up what is not done."""
+        with self._asking:
+            self._parts.clear()
+            if self._process is not None:
+                self._process.kill()
+                self._process.wait()
+            self._process = None
+
+
+def are_cached(part: str) -> bool:
+    """Whether Numba has the kernels of a part on its disk; true also where it does not tell."""
+    return all(map(_is_cached, _LATE[part]))
+
+
+def _is_cached(name: str) -> bool:
+    module, kernel = name.split(":")
+    try:
+        return bool(getattr(import_module(f"g2_recon.{module}"), kernel)._cache._cache_file._load_index())
+    except (AttributeError, OSError):
+        return True
