@@ -203,7 +203,7 @@ class SweepConfig(_Model):
         0.3, "a match is refused where a smaller share of the sweep with fewer points is near the other", ge=0, le=1
     )
     min_inliers: float = _setting(
-        0.9,
+        0.92,
         "a match is refused where a smaller share of what both sweeps should see lies on the same surface",
         ge=0,
         le=1,

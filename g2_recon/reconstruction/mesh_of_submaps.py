@@ -39,8 +39,6 @@ _REACH = 1.25
 _FARTHEST_EXTENSION = 0.9
 # The fit looks for data of a triangle in this part of a cell around it.
 _FARTHEST_FIT = 0.25
-# A piece of less than this many cells is no surface that one would see.
-_LEAST_PIECE = 0.5
 # Holes of at most so many edges are closed: eight, a cell and what is around it, until creases and the ends of the data
 # have their vertices, as a lid over a corner of the room would cut that off. Strips half a cell wide have more of them.
 _JOINED_HOLE, _FINISHED_HOLE = 8, 16
@@ -220,7 +218,10 @@ def finish(sheet: Sheet, data: Data, config: ReconstructionConfig) -> Mesh:
     vertices, faces, _ = split_pinched(sheet.vertices, sheet.faces)
     sheet = _filled(Sheet(vertices, faces, sheet.submap), data, max_edges=_FINISHED_HOLE)
     sheet = _parted(sheet, grain, data.workers)
-    large = large_pieces(sheet.vertices, sheet.faces, least_area=_LEAST_PIECE * config.spacing**2)
+    # Where a face was dropped there may be a hole again.
+    sheet = _filled(sheet, data, max_edges=_FINISHED_HOLE)
+    # A piece of less than a cell is no surface that one would see.
+    large = large_pieces(sheet.vertices, sheet.faces, least_area=config.spacing**2)
     used, number = np.unique(sheet.faces[large], return_inverse=True)
     return Mesh(sheet.vertices[used], number.reshape(-1, 3).astype(np.int64), sheet.submap[large])
 

@@ -34,11 +34,17 @@ _FARTHEST_BEYOND = 0.35
 _LEAST_AGREEMENT = 0.2
 _SMALL_PIECE = 32
 
+# A hole of less area than this part of its length squared is a slit; a square has 1 / 16 of it.
+_SLIT = 0.02
+
 # A fold has no more edges; what closes a hole with more of them faces as its surroundings do.
 _FEW_EDGES = 8
 
 # Twice the area of a triangle over the square of its longest side; below it is a needle.
 _LEAST_SHAPE = 0.05
+
+# m^2, what an edge that the mesh has already costs a triangulation: more than any hole.
+_TAKEN = 1e6
 
 # How much of its way from home a vertex keeps, round by round, while one of its faces crosses another one.
 _KEPT_OF_WAY = (0.5, 0.5, 0.5, 0.0, 0.0)
@@ -358,17 +364,18 @@ def fill_small_loops(
     """Triangles (T, 3) that close the holes with at most `max_edges` edges, where data supports them.
 
     Each hole gets the triangulation of least area (Barequet and Sharir, "Filling gaps in the boundary of a polyhedron",
-    1995, section 3.2). A hole stays open where data lies farther than `support_distance` (m) from one of its triangles,
-    where the mesh would not stay manifold and oriented, where it would get a lid of more than one triangle or its own
-    back, or where a new face would cross another one.
+    1995, section 3.2), of those whose new edges the mesh does not have yet. A hole stays open where data lies farther
+    than `support_distance` (m) from one of its triangles, where the mesh would not stay manifold and oriented, where it
+    would get a lid of more than one triangle or its own back, or where a new face would cross another one.
     """
     normals = vertex_normals(vertices, faces)
     loops, size = _small_loops(vertices, faces, normals, max_edges)
-    triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size)
+    edges, _ = edges_of(faces, len(vertices))
+    triangles, loop = _least_area(np.ascontiguousarray(vertices), loops, size, edges @ [len(vertices), 1])
     support = np.bincount(loop, supported(vertices, triangles, grid, support_distance), len(loops))
     accepted = support == size - 2
     agreement = _agreement(vertices, triangles, loop, len(loops), normals)
-    accepted &= (np.abs(agreement) > _LEAST_AGREEMENT) | (size == 3)
+    accepted &= (np.abs(agreement) > _LEAST_AGREEMENT) | (size == 3) | _is_slit(vertices, triangles, loop, loops)
     # What lies on the back of its surroundings closes a fold there; around a piece hardly larger it would be its back.
     accepted &= (agreement > 0) | ((size <= _FEW_EDGES) & ~_around_small_pieces(vertices, faces, loops))
     accepted &= _keeps_manifold(faces, triangles, loop, size, accepted, len(vertices))
@@ -392,6 +399,14 @@ def _agreement(vertices: Float, triangles: Int, loop: Int, count: int, normals: 
     along = np.einsum("ti,tki->t", area, normals[triangles]) / 3
     size = np.bincount(loop, np.linalg.norm(area, axis=1), count)
     return np.asarray(np.bincount(loop, along, count) / np.maximum(size, 1e-300))
+
+
+def _is_slit(vertices: Float, triangles: Int, loop: Int, loops: Int) -> Mask:
+    """Mask (L,) of the loops (L, E) so narrow for their length that it says nothing which way their triangles look."""
+    area = np.bincount(loop, np.linalg.norm(area_vectors(vertices, triangles), axis=1) / 2, len(loops))
+    following = np.where(np.roll(loops, -1, axis=1) < 0, loops[:, :1], np.roll(loops, -1, axis=1))
+    sides = np.linalg.norm(vertices[following] - vertices[loops], axis=2)
+    return np.asarray(area < _SLIT * np.sum(sides, axis=1, where=loops >= 0) ** 2)
 
 
 def _around_small_pieces(vertices: Float, faces: Int, loops: Int) -> Mask:
@@ -484,8 +499,12 @@ def _turn(vertices, normal, vertex, one, other):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _least_area(vertices, loops, sizes):  # type: ignore[no-untyped-def]
-    """Triangles (T, 3) of all loops, triangulated with the least area, and the loop (T,) of each."""
+def _least_area(vertices, loops, sizes, edges):  # type: ignore[no-untyped-def]
+    """Triangles (T, 3) of all loops, triangulated with the least area, and the loop (T,) of each.
+
+    edges: ascending numbers of those that the mesh has, smaller vertex times V plus larger one; none is made again
+    where that can be helped.
+    """
     total = 0
     for size in sizes:
         total += size - 2
@@ -502,6 +521,11 @@ def _least_area(vertices, loops, sizes):  # type: ignore[no-untyped-def]
                     value = area[i, k] + area[k, j] + _area(vertices, corners[i], corners[k], corners[j])
                     if value < area[i, j]:
                         area[i, j], cut[i, j] = value, k
+                if gap < size - 1:
+                    low, high = min(corners[i], corners[j]), max(corners[i], corners[j])
+                    place = np.searchsorted(edges, low * len(vertices) + high)
+                    if place < len(edges) and edges[place] == low * len(vertices) + high:
+                        area[i, j] += _TAKEN
         waiting = [(0, size - 1)]
         while len(waiting) > 0:
             i, j = waiting.pop()

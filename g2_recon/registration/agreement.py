@@ -61,10 +61,11 @@ def agreement(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float
     cos = np.einsum("ij,ij->i", normals, others)
     parallel = near & (np.abs(cos) > _PARALLEL)
     on_surface = parallel & (np.abs(off) < _ON_SURFACE_M)
-    # Both ways: what one sweep looked through cannot be where the other saw something.
+    # Both ways: what one sweep looked through cannot be where the other saw a surface. Of clutter, which no pair of
+    # parallel normals speaks for, nothing may speak against either, or there would be more of it the larger the voxels.
     back = se3.transform_points(se3.inverse(T_fixed_moving), fixed.points[::step])
-    through = ~near & fixed.seen_through(placed, _IN_FRONT_M)
-    through_back = moving.seen_through(back, _IN_FRONT_M)
+    through = ~near & moving.flat[::step] & fixed.seen_through(placed, _IN_FRONT_M)
+    through_back = fixed.flat[::step] & moving.seen_through(back, _IN_FRONT_M)
     through_back[through_back] = moving.pairs(back[through_back])[1] >= _NEAR_M
     inliers = int(on_surface.sum())
     # Floors and ceilings fit each other anywhere, so that walls have to fit on their own.

@@ -32,12 +32,9 @@ def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, ga
 
     What small_gicp says of its result is not looked at: `converged` is true also where no pair was found.
     """
-    middle = _MIDDLE * last_gate
-    if gate > middle:
-        T_fixed_moving = roughly(moving, fixed, T_fixed_moving, gate)
-    for near in (middle, last_gate):
-        T_fixed_moving = _aligned("GICP", moving.gicp, fixed, T_fixed_moving, near)
-    return T_fixed_moving
+    for near in sorted({gate, min(gate, _MIDDLE * last_gate)}, reverse=True):
+        T_fixed_moving = roughly(moving, fixed, T_fixed_moving, near)
+    return _aligned("GICP", moving.gicp, fixed, T_fixed_moving, last_gate)
 
 
 def roughly(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, gate: float) -> Float:

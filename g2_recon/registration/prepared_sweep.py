@@ -17,6 +17,8 @@ from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
 
 Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 # Fewer points in different places do not make a surface whose place could be told.
 _FEWEST_POINTS = 50
@@ -31,29 +33,34 @@ _FEWEST_ON_PLANE = 5
 _BIN = math.radians(2.0)
 _AZIMUTHS, _ELEVATIONS = 180, 90
 
+# Numbers of cubes are sorted by digits of so many bits.
+_DIGIT_BITS = 11
+_DIGITS = 1 << _DIGIT_BITS
+
 
 @dataclass(frozen=True, slots=True)
 class PreparedSweep:
     """A sweep in its own frame, whose origin is where the laser was.
 
-    points: (M, 3) m, one a voxel. normals: (M, 3) unit. gicp, tree: the same as small_gicp wants them. nearest:
-    (180, 90) m, the shortest range seen in each 2 deg of azimuth and elevation and those beside it, NaN where nothing
-    was. measured: (N, 3) all points that count.
+    points: (M, 3) m, one a voxel. normals: (M, 3) unit. flat: (M,) whether a point lies on a plane with those around
+    it. gicp, tree: the same as small_gicp wants them. nearest: (180, 90) m, the shortest range seen in each 2 deg of
+    azimuth and elevation and those beside it, NaN where nothing was. measured: (N, 3) all points that count.
     """
 
     points: Float
     normals: Float
+    flat: Mask
     gicp: small_gicp.PointCloud
     tree: small_gicp.KdTree
     nearest: Float
     measured: Float
 
-    def pairs(self, places: Float) -> tuple[NDArray[np.int64], Float]:
+    def pairs(self, places: Float) -> tuple[Int, Float]:
         """The nearest point (K,) to each place (K, 3) in the frame of the sweep, and its distance (K,) in metres."""
         rows, squared = self.tree.batch_nearest_neighbor_search(places)
         return np.asarray(rows, np.int64), np.sqrt(squared)
 
-    def seen_through(self, places: Float, margin: float) -> NDArray[np.bool_]:
+    def seen_through(self, places: Float, margin: float) -> Mask:
         """Mask (K,) of the places (K, 3) behind which the laser saw something: nothing can have been there."""
         return np.asarray(before(places, self.nearest, margin))
 
@@ -65,7 +72,7 @@ def prepare(sweep: Cloud | Float, config: SweepConfig) -> PreparedSweep:
     few are left, or they all are in nearly the same place.
     """
     points = usable(sweep.points if isinstance(sweep, Cloud) else np.asarray(sweep, float), config)
-    thinned = _thinned(points, config.voxel)
+    thinned, flat = _thinned(points, config.voxel)
     if len(thinned) < _FEWEST_POINTS:
         raise InputError(
             f"a sweep of {len(points)} points fills {len(thinned)} voxels of {config.voxel:g} m only: too few to match",
@@ -77,6 +84,7 @@ def prepare(sweep: Cloud | Float, config: SweepConfig) -> PreparedSweep:
     return PreparedSweep(
         points=np.ascontiguousarray(cloud.points()[:, :3]),
         normals=np.ascontiguousarray(cloud.normals()[:, :3]),
+        flat=flat,
         gicp=cloud,
         tree=tree,
         nearest=_nearest(points),
@@ -88,13 +96,13 @@ def usable(points: Float, config: SweepConfig) -> Float:
     """The points (K, 3) of (N, 3) that count, in metres. Raises InputError, with what was wrong, where none does."""
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"a sweep needs points of shape (N, 3), got {points.shape}")
-    with np.errstate(invalid="ignore", over="ignore"):
-        ranges = config.scale * np.sqrt(np.einsum("ij,ij->i", points, points))
-        kept = points[(ranges >= config.min_range) & (ranges <= config.max_range)] * config.scale
+    kept = within(np.ascontiguousarray(points, np.float64), config.scale, config.min_range, config.max_range)
     if len(kept):
-        return np.ascontiguousarray(kept)
+        return np.asarray(kept)
     if not len(points):
         raise InputError("the sweep holds no point", advice="leave it out")
+    with np.errstate(invalid="ignore", over="ignore"):
+        ranges = config.scale * np.sqrt(np.einsum("ij,ij->i", points, points))
     if not np.isfinite(ranges).any():
         raise InputError(f"none of the {len(points)} points of the sweep is finite", advice="leave it out")
     middle = float(np.median(ranges[np.isfinite(ranges)]))
@@ -103,6 +111,20 @@ def usable(points: Float, config: SweepConfig) -> Float:
         f"laser, half of them are nearer than {middle:.3g} m",
         advice="if the unit is not metres, set scale, such as 0.001 for millimetres",
     )
+
+
+@numba.njit(cache=True, nogil=True)
+def within(points, scale, nearest, farthest):  # type: ignore[no-untyped-def]
+    """Those of the points (N, 3) whose distance from the origin is between two, once they are scaled, scaled (K, 3)."""
+    kept = np.empty((len(points), 3))
+    count = 0
+    for row in range(len(points)):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        distance = scale * math.sqrt(x * x + y * y + z * z)
+        if nearest <= distance <= farthest:
+            kept[count, 0], kept[count, 1], kept[count, 2] = scale * x, scale * y, scale * z
+            count += 1
+    return kept[:count].copy()
 
 
 def implausible_scale(points: Float, config: SweepConfig) -> str:
@@ -118,31 +140,81 @@ def implausible_scale(points: Float, config: SweepConfig) -> str:
     )
 
 
-def _thinned(points: Float, voxel: float) -> Float:
-    """Points (M, 3), one in each cube of edge `voxel` (m) that any of (N, 3) is in: on the plane there, if any."""
-    cells = np.floor(points / voxel).astype(np.int64)
-    cells -= cells.min(axis=0) - 1
-    # Steps from cube to cube, with an empty one at each end.
-    step_y = int(cells[:, 2].max()) + 2
-    step_x = step_y * (int(cells[:, 1].max()) + 2)
-    keys = cells @ np.array([step_x, step_y, 1])
-    order = np.argsort(keys, kind="stable")
-    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    counts = np.diff(first, append=len(keys)).astype(float)
-    means = np.add.reduceat(points[order], first) / counts[:, None]
-    return np.asarray(flatten(means, counts, keys[order][first], np.array([step_x, step_y])))
+def _thinned(points: Float, voxel: float) -> tuple[Float, Mask]:
+    """Points (M, 3), one in each cube of edge `voxel` (m) that any of (N, 3) is in, and whether on the plane there."""
+    means, counts, keys, steps = middles_of_cubes(points, voxel)
+    return tuple(flatten(means, counts, keys, steps))
+
+
+@numba.njit(cache=True, nogil=True)
+def middles_of_cubes(points, edge):  # type: ignore[no-untyped-def]
+    """The mean (M, 3) of those of the points (N, 3) in each cube of `edge` (m) that holds any, and their number (M,).
+
+    Also the numbers (M,) of the cubes, ascending, and the steps (2,) between cubes beside each other in x and in y; in
+    z it is 1, and no cube is beside one at the other end of the room.
+    """
+    count = len(points)
+    cells, low, high = np.empty((count, 3), np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        low[axis] = high[axis] = math.floor(points[0, axis] / edge)
+        for row in range(count):
+            cell = math.floor(points[row, axis] / edge)
+            cells[row, axis] = cell
+            low[axis], high[axis] = min(low[axis], cell), max(high[axis], cell)
+    # With an empty cube at each end.
+    steps = np.empty(2, np.int64)
+    steps[1] = high[2] - low[2] + 3
+    steps[0] = steps[1] * (high[1] - low[1] + 3)
+    key = np.empty(count, np.int64)
+    for row in range(count):
+        x, y, z = cells[row, 0] - low[0] + 1, cells[row, 1] - low[1] + 1, cells[row, 2] - low[2] + 1
+        key[row] = x * steps[0] + y * steps[1] + z
+    order = _ascending(key, (high[0] - low[0] + 2) * steps[0])
+    means, counts, keys = np.zeros((count, 3)), np.zeros(count), np.empty(count, np.int64)
+    found = -1
+    for row in order:
+        if found < 0 or key[row] != keys[found]:
+            found += 1
+            keys[found] = key[row]
+        counts[found] += 1.0
+        for axis in range(3):
+            means[found, axis] += points[row, axis]
+    for cube in range(found + 1):
+        for axis in range(3):
+            means[cube, axis] /= counts[cube]
+    return means[: found + 1], counts[: found + 1], keys[: found + 1], steps
+
+
+@numba.njit(cache=True, nogil=True)
+def _ascending(keys, beyond):  # type: ignore[no-untyped-def]
+    """The order (N,) of numbers (N,) from 0 to below `beyond`, those alike as they come: digit by digit, last first."""
+    order, other = np.arange(len(keys)), np.empty(len(keys), np.int64)
+    shift = 0
+    while beyond >> shift > 0:
+        place = np.zeros(_DIGITS + 1, np.int64)
+        for key in keys:
+            place[(key >> shift & (_DIGITS - 1)) + 1] += 1
+        for digit in range(_DIGITS):
+            place[digit + 1] += place[digit]
+        for row in order:
+            digit = keys[row] >> shift & (_DIGITS - 1)
+            other[place[digit]] = row
+            place[digit] += 1
+        order, other = other, order
+        shift += _DIGIT_BITS
+    return order
 
 
 @numba.njit(cache=True, nogil=True)
 def flatten(points, counts, keys, steps):  # type: ignore[no-untyped-def]
-    """Points (M, 3), each that lies on a plane with those in the 26 cubes around it moved onto that plane.
+    """Points (M, 3), those that lie on a plane with those in the 26 cubes around them moved onto it; and which (M,).
 
     A wall near the border of cubes leaves the tail of its noise in cubes of their own, which would count as much as
     the others: weighted by how many points (M,) each cube had, the plane is where the wall is. keys: (M,) numbers of
     the cubes, ascending; steps: (2,) between cubes beside each other in x and in y; in z it is 1. Smallest eigenvalue
     and its vector after O. K. Smith, "Eigenvalues of a symmetric 3 x 3 matrix", CACM 4(4), 1961.
     """
-    result = points.copy()
+    result, flat = points.copy(), np.zeros(len(points), np.bool_)
     columns = np.zeros(9, np.int64)
     neighbors = np.empty(27, np.int64)
     A = np.empty((3, 3))
@@ -216,7 +288,8 @@ def flatten(points, counts, keys, steps):  # type: ignore[no-untyped-def]
                 off_plane += normal[u] * (points[row, u] - center[u])
             for u in range(3):
                 result[row, u] = points[row, u] - off_plane * normal[u]
-    return result
+            flat[row] = True
+    return result, flat
 
 
 def _nearest(points: Float) -> Float:
@@ -235,10 +308,10 @@ def _nearest(points: Float) -> Float:
 @numba.njit(cache=True, nogil=True)
 def _bin(x, y, z):  # type: ignore[no-untyped-def]
     """Azimuth and elevation bin of a place, and how far it is from the laser."""
-    flat = math.hypot(x, y)
+    across = math.sqrt(x * x + y * y)
     azimuth = int((math.atan2(y, x) + math.pi) / _BIN) % _AZIMUTHS
-    elevation = min(int((math.atan2(z, flat) + math.pi / 2) / _BIN), _ELEVATIONS - 1)
-    return azimuth, elevation, math.hypot(flat, z)
+    elevation = min(int((math.atan2(z, across) + math.pi / 2) / _BIN), _ELEVATIONS - 1)
+    return azimuth, elevation, math.sqrt(across * across + z * z)
 
 
 @numba.njit(cache=True, nogil=True)

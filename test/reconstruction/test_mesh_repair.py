@@ -227,6 +227,30 @@ class TestSmallLoops:
         faces = np.concatenate([np.stack([a, b, b + 6], axis=1), np.stack([a, b + 6, a + 6], axis=1)])
         assert len(self.fill(vertices, faces)) == 0
 
+    def test_a_hole_with_a_flap_is_closed_to_the_flap_and_not_on_its_back(self):
+        vertices, faces = sheet()
+        vertices = vertices.copy()
+        vertices[14, 2] = 0.2
+        flap = faces[(faces == 14).any(axis=1)][:1]
+        holed = np.concatenate([faces[~(faces == 14).any(axis=1)], flap])
+        new = self.fill(vertices, holed)
+        assert not any(set(face) == set(flap[0]) for face in new.tolist())
+        whole = np.concatenate([holed, new])
+        assert is_oriented_manifold(whole)
+        assert len(border_half_edges(whole, len(vertices))) == 20
+
+    def test_a_slit_is_closed_whichever_way_its_surroundings_look(self):
+        vertices, faces = sheet()
+        # The edge from 14 to 15 becomes a step down.
+        beyond = vertices[faces].mean(axis=1)[:, 1] > vertices[14, 1]
+        slit = faces.copy()
+        slit[beyond] = np.where(faces == 14, 36, np.where(faces == 15, 37, faces))[beyond]
+        vertices = np.concatenate([vertices, vertices[[14, 15]] - [0, 0, 0.004]])
+        assert len(border_half_edges(slit, len(vertices))) == 26
+        whole = np.concatenate([slit, self.fill(vertices, slit)])
+        assert is_oriented_manifold(whole)
+        assert len(border_half_edges(whole, len(vertices))) == 20
+
     def test_two_holes_that_touch_in_a_vertex_are_both_closed(self):
         vertices, faces = sheet()
         holes = [[14, 15, 21], [21, 22, 28], [21, 28, 27]]

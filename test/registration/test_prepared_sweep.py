@@ -7,7 +7,7 @@ from g2_recon.config import SweepConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.registration import prepared_sweep
-from g2_recon.registration.prepared_sweep import flatten, implausible_scale, prepare, usable
+from g2_recon.registration.prepared_sweep import flatten, implausible_scale, middles_of_cubes, prepare, usable
 
 CONFIG = SweepConfig()
 
@@ -19,7 +19,7 @@ def wall(seed=0, at=2.8, noise=0.01):
 
 
 def flatten_plainly(points, counts, keys, steps):
-    result = points.copy()
+    result, flat = points.copy(), np.zeros(len(points), bool)
     around = [x * steps[0] + y * steps[1] + z for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
     for row, key in enumerate(keys):
         near = np.flatnonzero(np.isin(keys, key + np.array(around)))
@@ -28,20 +28,39 @@ def flatten_plainly(points, counts, keys, steps):
         values, vectors = np.linalg.eigh(covariance)
         if len(near) >= prepared_sweep._FEWEST_ON_PLANE and values[0] <= prepared_sweep._FLAT * values[1]:
             result[row] -= vectors[:, 0] * (vectors[:, 0] @ (points[row] - center))
-    return result
+            flat[row] = True
+    return result, flat
 
 
 def test_the_kernel_that_flattens_does_what_plain_numpy_does():
     rng = np.random.default_rng(3)
-    cells = np.unique(rng.integers(0, 6, (120, 3)), axis=0) + 1
+    cells = rng.integers(0, 6, (120, 3)) + 1
+    # Half a block, half a wall.
+    cells[cells[:, 0] < 4, 2] = 1
+    cells = np.unique(cells, axis=0)
     steps = np.array([64, 8])
     keys = cells @ np.array([64, 8, 1])
     order = np.argsort(keys)
     points = cells[order] + rng.uniform(0, 1, cells.shape) * [1, 1, 0.05]
     counts = rng.integers(1, 20, len(cells)).astype(float)
-    assert flatten(points, counts, keys[order], steps) == pytest.approx(
-        flatten_plainly(points, counts, keys[order], steps), abs=1e-9
-    )
+    found, flat = flatten(points, counts, keys[order], steps)
+    expected, expected_flat = flatten_plainly(points, counts, keys[order], steps)
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert flat.tolist() == expected_flat.tolist()
+    assert flat.any() and not flat.all()
+
+
+@pytest.mark.parametrize(("edge", "size"), [(0.14, 3.0), (0.01, 190.0)])
+def test_the_kernel_that_sorts_points_into_cubes_does_what_plain_numpy_does(edge, size):
+    points = np.random.default_rng(4).uniform(-size, size, (2000, 3)) * [1, 1, 0.1]
+    cells, cube, count = np.unique(np.floor(points / edge), axis=0, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(cube.reshape(-1), column) for column in points.T], axis=1) / count[:, None]
+    found_means, found_count, keys, steps = middles_of_cubes(points, edge)
+    assert found_means == pytest.approx(means, abs=1e-9)
+    assert found_count.tolist() == count.tolist()
+    assert (np.diff(keys) > 0).all()
+    # Numbers and cubes say the same: how many steps it is from the first cube.
+    assert (keys - keys[0]).tolist() == ((cells - cells[0]) @ [*steps, 1]).astype(int).tolist()
 
 
 @pytest.mark.parametrize("at", [2.8, 2.805, 2.82, 2.87])
