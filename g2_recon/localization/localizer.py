@@ -52,6 +52,8 @@ _MOST_SUDDEN = np.array([1.0, 1.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
 # A direction in which nothing is known has this information.
 _LEAST_INFORMATION = 1e-4
+# So many scans are matched at once at the end: enough for all cores, and little memory.
+_MATCHED_AT_ONCE = 1024
 # Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
 _STANDING_M, _STANDING_RAD = 0.02, 0.01
 
@@ -474,16 +476,18 @@ class Localizer:
         if not len(rows):
             return
         near = cKDTree(poses[:, :2]).query(guesses[rows, :2], np.arange(1, min(24, len(poses)) + 1))[1]
-        scans = Keyframes()
-        for row in rows:
-            kept = self._scans[row]
-            assert kept is not None
-            scans.add(kept, guesses[row])
-        points, normals, kinds, _, _ = scans.arrays
-        placed = refinement.place(guesses[rows], owners[rows], near, points, normals, kinds, poses, *keyframes.arrays)
-        offsets = se2.relative(poses[owners[rows]], placed)
-        for row, offset in zip(rows, offsets, strict=True):
-            self._offsets[3 * row : 3 * row + 3] = array("d", offset)
+        for first in range(0, len(rows), _MATCHED_AT_ONCE):
+            some = slice(first, first + _MATCHED_AT_ONCE)
+            scans = Keyframes()
+            for row in rows[some]:
+                kept = self._scans[row]
+                assert kept is not None
+                scans.add(kept, guesses[row])
+            seen = scans.arrays[:3]
+            at, owner = guesses[rows[some]], owners[rows[some]]
+            placed = refinement.place(at, owner, near[some], *seen, poses, *keyframes.arrays)
+            for row, offset in zip(rows[some], se2.relative(poses[owner], placed), strict=True):
+                self._offsets[3 * row : 3 * row + 3] = array("d", offset)
 
     def _scan_poses(self) -> Float:
         """T_map_laser (N, 3) of the scans."""

@@ -88,7 +88,11 @@ class LocalizerParameters(_SessionModel, _MapNodeModel, LocalizationConfig):
     publish_tf: bool = _parameter(True, "send the transform map -> odom, where tf2 is installed")
     base_frame: str = _parameter("base_link", "frame of the robot that the laser is mounted on")
     odometry_wait: float = _parameter(
-        0.2, "a scan waits for odometry unless odometry is this much older than the newest scan", "s", ge=0, le=10
+        0.2,
+        "a scan that odometry does not reach waits for it, unless odometry is this much older than the newest scan",
+        "s",
+        ge=0,
+        le=10,
     )
 
 
