@@ -27,7 +27,7 @@ from g2_recon.nodes import conversions
 from g2_recon.nodes.journals import MessageJournal, Part
 from g2_recon.nodes.markers import MarkerTopic, drawings_of_mesh, drawings_of_wire_mesh, vertex_errors
 from g2_recon.nodes.parameters import ReconstructParameters
-from g2_recon.nodes.ros import reliable_qos, run
+from g2_recon.nodes.ros import reliable_qos, run, yield_processor
 from g2_recon.nodes.stage_node import StageNode, give_back_memory, session_folder
 from g2_recon.reconstruction import collected_cloud
 from g2_recon.reconstruction.collected_cloud import CollectedCloud
@@ -172,7 +172,11 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         )
 
     def _work_beside(self) -> None:
-        """Keep the mesh up with the clouds, and the markers with the mesh, until the node ends."""
+        """Keep the mesh up with the clouds, and the markers with the mesh, until the node ends.
+
+        On a small computer poses come first: nobody waits for a mesh as a robot does for where it is.
+        """
+        yield_processor()
         while not self._ending.wait(_LOOK_S) and self.context.ok():
             self._look()
 

@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
@@ -34,6 +37,9 @@ def _if_installed(name: str) -> Any | None:
 # The ROS wheels of the Python package index do not hold it.
 tf2_ros: Any = _if_installed("tf2_ros")
 tf2_msgs: Any = _if_installed("tf2_msgs.msg")
+
+# Of a thread that has no deadline, beside those that have: a tenth of the share.
+_YIELDING = 10
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Maps and meshes: whoever comes late gets the last one (REP-2003)."""
@@ -124,6 +130,13 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threa
         with suppress(RuntimeError):
             rclpy.try_shutdown()
     return 0
+
+
+def yield_processor() -> None:
+    """Let this thread, and those that it starts, have a processor only as far as others do not want it (Linux)."""
+    if sys.platform == "linux":
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _YIELDING)
 
 
 class RobotTransforms:

@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+import os
+import sys
+import threading
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from g2_recon.nodes.ros import yield_processor
+
+
+def niceness():
+    return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have no niceness of their own elsewhere")
+def test_a_thread_that_yields_takes_the_threads_that_it_starts_with_it_and_no_others():
+    seen = []
+
+    def work():
+        yield_processor()
+        seen.append(niceness())
+        child = threading.Thread(target=lambda: seen.append(niceness()))
+        child.start()
+        child.join()
+
+    before = niceness()
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen[0] == seen[1] > before
+    assert niceness() == before
