@@ -162,7 +162,9 @@ def _factorized(poses: Float, edges: Edges, weights: Float, held: int) -> tuple[
     blocks, pulls, squared = linearize(
         poses, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, weights
     )
-    rows = np.concatenate([3 * edges.first[:, None] + np.arange(3), 3 * edges.second[:, None] + np.arange(3)], axis=1)
+    # As SciPy keeps them: of a large map, indices of twice the size would be most of the memory that this takes.
+    ends = np.column_stack([edges.first, edges.second]).astype(np.int32)
+    rows = (3 * ends[:, :, None] + np.arange(3, dtype=np.int32)).reshape(-1, 6)
     diagonal = np.full(3 * count, 1e-6)
     diagonal[3 * held : 3 * held + 3] = _HELD
     matrix = sparse.coo_matrix(

@@ -61,26 +61,41 @@ def refine(
         distance = _DISTANCE_M[0] * (_DISTANCE_M[1] / _DISTANCE_M[0]) ** share
         sigma = _SIGMA_M[0] * (_SIGMA_M[1] / _SIGMA_M[0]) ** share
         step, loose = (_COARSE_STEP, _COARSE_LOOSE) if done < _COARSE_ROUNDS else (1, _FINE_LOOSE)
-        T, hessians, gradients, counts = pairing.pairs(
-            poses, first, second, *keyframes.arrays, distance, sigma, loose, step
-        )
-        # As of all beams.
-        hessians, gradients, counts = step * hessians, step * gradients, step * counts
-        used = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
-        seen = pose_graph.Edges(first, second, T, hessians, gradients)[used]
-        edges = pose_graph.joined(seen, wheels)
-        weights = np.ones(len(edges))
-        squared = pose_graph.deviations(poses, wheels)
-        # Wheels that slip or come late are doubted.
-        weights[len(seen) :] = 1 / (1 + squared / (_WHEEL_WEIGHT * _WHEEL_KERNEL))
         before = poses
-        poses, _ = pose_graph.solve(poses, edges, weights=weights)
+        poses = _improved(poses, keyframes, wheels, first, second, distance, sigma, loose, step)
         if done == 0 and wide < _MOST_WIDE_ROUNDS and _most_changed(before, poses) > _AT_REST_M:
             wide += 1
         else:
             done += 1
             progress("refinement", done, _ROUNDS)
     return poses
+
+
+def _improved(
+    poses: Float,
+    keyframes: Keyframes,
+    wheels: pose_graph.Edges,
+    first: Int,
+    second: Int,
+    distance: float,
+    sigma: float,
+    loose: int,
+    step: int,
+) -> Float:
+    """The poses (N, 3) after one round: pairs of keyframes (M,) laid on each other, and the graph of them solved."""
+    T, hessians, gradients, counts = pairing.pairs(
+        poses, first, second, *keyframes.arrays, distance, sigma, loose, step
+    )
+    # As of all beams.
+    hessians, gradients, counts = step * hessians, step * gradients, step * counts
+    used = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
+    seen = pose_graph.Edges(first, second, T, hessians, gradients)[used]
+    edges = pose_graph.joined(seen, wheels)
+    weights = np.ones(len(edges))
+    squared = pose_graph.deviations(poses, wheels)
+    # Wheels that slip or come late are doubted.
+    weights[len(seen) :] = 1 / (1 + squared / (_WHEEL_WEIGHT * _WHEEL_KERNEL))
+    return pose_graph.solve(poses, edges, weights=weights)[0]
 
 
 def _most_changed(before: Float, poses: Float) -> float:
