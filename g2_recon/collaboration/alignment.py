@@ -22,6 +22,7 @@ from g2_recon.geometry.session import Session
 from g2_recon.localization.beams import Beams
 from g2_recon.localization.collecting import latest
 from g2_recon.localization.keyframes import Keyframes
+from g2_recon.localization.pairing import add_levered
 from g2_recon.localization.relocalization import GIVEN_M, GIVEN_RAD, Place, WholeMap, judge_group
 from g2_recon.progress import Progress, silent
 
@@ -200,8 +201,18 @@ def _agreed(places: list[Place], owners: Int, moving: Float) -> list[_Hypothesis
         if not any(_alike(transforms[m], other.T_fixed_moving, moving) for other in result):
             rows = behind[m]
             T = fitted(moving[owners[rows]], poses[rows])
-            result.append(_Hypothesis(T, owners[rows], transforms[rows], values[rows], places[m].information))
+            information = _together([places[row] for row in rows], places[m].pose)
+            result.append(_Hypothesis(T, owners[rows], transforms[rows], values[rows], information))
     return result
+
+
+def _together(places: list[Place], at: Float) -> Float:
+    """Information (3, 3) of a step of the whole map at a pose (3,) in it: what one place leaves open, others hold."""
+    total, unused = np.zeros((3, 3)), np.zeros(3)
+    for place in places:
+        x, y = place.pose[:2] - at[:2]
+        add_levered(place.information, np.zeros(3), x, y, total, unused)
+    return total
 
 
 def _best_of_each(rows: Int, values: Float, owners: Int) -> Int:

@@ -14,6 +14,7 @@ from g2_recon.config import LocalizationConfig, SimulationConfig
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.scan import Scan
 from g2_recon.localization.localizer import Localizer
+from g2_recon.localization.relocalization import Place
 from g2_recon.pipeline import odometry_at_scans
 from g2_recon.simulation.simulator import simulate
 
@@ -166,6 +167,16 @@ def test_maps_of_different_lasers_are_joined_beam_by_beam(robots):
     both = joined(one, fewer, T, np.arange(len(fewer)))
     assert both.kinds.shape == (len(one) + len(two), 181)
     assert not both.kinds[len(one) :, 90:].any()
+
+
+def test_what_one_part_leaves_open_another_holds():
+    # One in a corridor along x, another 10 m on in a corridor along y.
+    corridors = ((0.0, [1e-4, 1e4, 1e4]), (10.0, [1e4, 1e-4, 1e4]))
+    one, other = (Place(np.array([x, 0.0, 0.5]), np.diag(known), 1.0, 1.0, 1.0, 1.0, 10.0) for x, known in corridors)
+    together = np.linalg.inv(alignment._together([one, other], one.pose))
+    assert np.sqrt(np.diag(together)) == pytest.approx([0.01, 0.01, 0.01 / math.sqrt(2)], rel=1e-3)
+    alone = np.linalg.inv(alignment._together([one], one.pose))
+    assert alone == pytest.approx(np.linalg.inv(one.information))
 
 
 def test_a_rigid_motion_is_found_from_poses():
