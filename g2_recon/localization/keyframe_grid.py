@@ -12,6 +12,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.occupancy_grid import OccupancyGrid
 from g2_recon.geometry.scan import Scan
+from g2_recon.geometry.se2_kernels import compose
 from g2_recon.geometry.session import Session
 from g2_recon.localization.occupancy import GridBuilder
 
@@ -95,7 +96,7 @@ class KeyframeGrid:
         self._counted.append(place)
         try:
             self._builder.add(
-                se2.compose(place, self._T_base_laser),
+                compose(place, self._T_base_laser),
                 self._turn * scan.angles(),
                 scan.ranges,
                 range_min=max(self._config.min_range, scan.range_min),

@@ -66,7 +66,7 @@ class GridBuilder:
                 advice="give a share from 0 to below 1 of one scan or more",
             )
         self._resolution = resolution
-        self._max_range, self._free_range = max_range, free_range
+        self._limits = max_range, free_range
         self._occupied_share, self._fewest_scans = occupied_share, fewest_scans
         self._scans = 0
         self._counts: NDArray[np.int32] = np.zeros((0, _TILE, _TILE, 3), np.int32)
@@ -102,19 +102,12 @@ class GridBuilder:
             raise InputError(
                 "a scan has a finite bearing for each range", where="occupancy grid", advice="drop the scan"
             )
-        measured = (lengths > 0) & (lengths >= range_min) & (lengths <= range_max) & (lengths < np.inf)
-        hits = measured & (lengths <= self._max_range)
-        used = measured | (lengths == np.inf)
-        if not used.any():
+        start, ends, hits = _beams(laser, angles, lengths, range_min, range_max, *self._limits, self._resolution)
+        if not len(ends):
             return
-        reach = np.where(hits, lengths, max(min(self._free_range, range_max), 0.0))[used] / self._resolution
-        with np.errstate(over="ignore", invalid="ignore"):  # what is too far away for any number is refused below
-            heading = laser[2] + angles[used]
-            start = laser[1::-1] / self._resolution
-            ends = start + reach[:, None] * np.stack([np.sin(heading), np.cos(heading)], axis=1)
-        self._reserve(np.floor(np.minimum(start, ends.min(axis=0))), np.floor(np.maximum(start, ends.max(axis=0))))
+        self._reserve(*_bounds(start, ends))
         self._scans += 1
-        count_scan(self._counts, self._tiles, self._corner, self._scans, start, ends, hits[used])
+        count_scan(self._counts, self._tiles, self._corner, self._scans, start, ends, hits)
 
     def add_all(
         self,
@@ -144,6 +137,8 @@ class GridBuilder:
         if not (np.abs(least).max() < _FARTHEST and np.abs(greatest).max() < _FARTHEST):
             raise InputError("a scan is absurdly far away", where="occupancy grid", advice="drop the scan")
         low, high = least.astype(np.int64), greatest.astype(np.int64)
+        if self._scans and _are_there(self._tiles, self._corner, self._low, self._high, low, high):
+            return
         lowest: Int = low if self._scans == 0 else np.minimum(low, self._low)
         highest: Int = high if self._scans == 0 else np.maximum(high, self._high)
         height, width = (int(size) for size in highest - lowest + 1)
@@ -182,6 +177,49 @@ class GridBuilder:
             ) from None
         grown[: self._used] = self._counts[: self._used]
         return grown
+
+
+@numba.njit(cache=True, nogil=True)
+def _beams(laser, bearings, ranges, range_min, range_max, max_range, free_range, resolution):  # type: ignore[no-untyped-def]
+    """Of the beams that say something: start (2,) and ends (B, 2), row and column, and whether something is there."""
+    start = np.array([laser[1] / resolution, laser[0] / resolution])
+    ends = np.empty((len(ranges), 2))
+    hits = np.empty(len(ranges), np.bool_)
+    free = max(min(free_range, range_max), 0.0)
+    count = 0
+    for i in range(len(ranges)):
+        measured = ranges[i] > 0 and range_min <= ranges[i] <= range_max and ranges[i] < np.inf
+        if not measured and ranges[i] != np.inf:
+            continue
+        hits[count] = measured and ranges[i] <= max_range
+        reach = (ranges[i] if hits[count] else free) / resolution
+        ends[count, 0] = start[0] + reach * math.sin(laser[2] + bearings[i])
+        ends[count, 1] = start[1] + reach * math.cos(laser[2] + bearings[i])
+        count += 1
+    return start, ends[:count], hits[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _bounds(start, ends):  # type: ignore[no-untyped-def]
+    """The least and the greatest row and column, (2,) each, of cells; NaN and infinity, too far for any, stay."""
+    least, greatest = start.copy(), start.copy()
+    for i in range(len(ends)):
+        for axis in range(2):
+            least[axis], greatest[axis] = min(least[axis], ends[i, axis]), max(greatest[axis], ends[i, axis])
+    return np.floor(least), np.floor(greatest)
+
+
+@numba.njit(cache=True, nogil=True)
+def _are_there(tiles, corner, lowest, highest, low, high):  # type: ignore[no-untyped-def]
+    """Whether cells from low to high (2,) lie between those that there are and have tiles."""
+    for axis in range(2):
+        if low[axis] < lowest[axis] or high[axis] > highest[axis]:
+            return False
+    for row in range((low[0] >> _TILE_BITS) - corner[0], (high[0] >> _TILE_BITS) - corner[0] + 1):
+        for column in range((low[1] >> _TILE_BITS) - corner[1], (high[1] >> _TILE_BITS) - corner[1] + 1):
+            if tiles[row, column] < 0:
+                return False
+    return True
 
 
 @numba.njit(cache=True, nogil=True)
