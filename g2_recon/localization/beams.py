@@ -66,29 +66,30 @@ def beams(
 
     twist: (3,) m/s, m/s, rad/s, velocity of the laser in its own frame; it counts where the scan has a time increment.
     """
-    valid = scan.valid(range_min=range_min, range_max=range_max)
     sign = -1.0 if upside_down else 1.0
+    first, increment = sign * scan.angle_min, sign * scan.angle_increment
+    near, far = max(scan.range_min, range_min), min(scan.range_max, range_max)
     points, kinds = _points(
-        np.asarray(scan.ranges, np.float32), valid, sign * scan.angle_min, sign * scan.angle_increment,
-        scan.time_increment, np.asarray(twist, float),
-    )  # fmt: skip
-    first = sign * scan.angle_min
-    if sign * scan.angle_increment < 0:
-        first += sign * scan.angle_increment * (len(points) - 1)
-    return Beams(points, surface_normals(points, kinds), kinds, first, abs(scan.angle_increment))
+        np.asarray(scan.ranges, np.float32), near, far, first, increment, scan.time_increment, np.asarray(twist, float)
+    )
+    if increment < 0:
+        first += increment * (len(points) - 1)
+    return Beams(points, surface_normals(points, kinds), kinds, first, abs(increment))
 
 
 @numba.njit(cache=True, nogil=True)
-def _points(ranges, valid, first, increment, time_increment, twist):  # type: ignore[no-untyped-def]
-    """Points (B, 2) and kinds (B,) of beams with the smallest bearing first.
+def _points(ranges, near, far, first, increment, time_increment, twist):  # type: ignore[no-untyped-def]
+    """Points (B, 2) and kinds (B,) of beams with the smallest bearing first; measurements are those of Scan.valid.
 
     Each point is seen from where a laser with this twist (3,) was at the time of its beam, and moved to time 0.
     """
     count = len(ranges)
     points = np.zeros((count, 2), np.float32)
     kinds = np.zeros(count, np.uint8)
+    # As exact as the ranges themselves, so that one at a limit counts.
+    near, far = np.float32(near), np.float32(far)
     for i in range(count):
-        if not valid[i]:
+        if not (ranges[i] > 0 and near <= ranges[i] <= far and ranges[i] < np.inf):
             continue
         bearing, time = first + i * increment, i * time_increment
         turn = twist[2] * time

@@ -36,8 +36,12 @@ def bell(resolution: float, sigma: float) -> Grid:
 
 @numba.njit(cache=True, nogil=True)
 def splat(grid, points, kinds, poses, x0, y0, resolution, kernel):  # type: ignore[no-untyped-def]
-    """Draw scans (K, B, 2) at poses (K, 3) into the grid with corner x0, y0: the larger likelihood stays."""
+    """Draw scans (K, B, 2) at poses (K, 3) into the grid with corner x0, y0: the larger likelihood stays.
+
+    Returns the box (4,) that holds what was drawn: first and past the last row, and column.
+    """
     width, height = grid.shape
+    left, right, bottom, top = width, 0, height, 0
     for k in range(len(poses)):
         cos, sin = math.cos(poses[k, 2]), math.sin(poses[k, 2])
         for b in range(points.shape[1]):
@@ -48,10 +52,25 @@ def splat(grid, points, kinds, poses, x0, y0, resolution, kernel):  # type: igno
             # What is in the middle is there already if the same place was hit before.
             if x < 2 or y < 2 or x >= width - 2 or y >= height - 2 or grid[x, y] == kernel[2, 2]:
                 continue
+            left, right, bottom, top = min(left, x - 2), max(right, x + 3), min(bottom, y - 2), max(top, y + 3)
             for u in range(5):
                 for v in range(5):
                     if kernel[u, v] > grid[x + u - 2, y + v - 2]:
                         grid[x + u - 2, y + v - 2] = kernel[u, v]
+    return np.array([left, max(left, right), bottom, max(bottom, top)])
+
+
+@numba.njit(cache=True, nogil=True)
+def _widened(box, reach, shape):  # type: ignore[no-untyped-def]
+    return max(0, box[0] - reach), min(shape[0], box[1] + reach), max(0, box[2] - reach), min(shape[1], box[3] + reach)
+
+
+@numba.njit(cache=True, nogil=True)
+def clear(grid, box, reach):  # type: ignore[no-untyped-def]
+    """Set the cells in a box (4,), as of `splat`, and up to `reach` beside it to 0."""
+    left, right, bottom, top = _widened(box, reach, grid.shape)
+    for x in range(left, right):
+        grid[x, bottom:top] = 0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -71,23 +90,31 @@ def score(grid, points, kinds, pose, x0, y0, resolution):  # type: ignore[no-unt
     return total / (FULL * max(count, 1))
 
 
+@numba.njit(nogil=True)
+def _raise(row, other, count):  # type: ignore[no-untyped-def]
+    for k in range(count):
+        one, two = row[k], other[k]
+        row[k] = one if one > two else two
+
+
 @numba.njit(cache=True, nogil=True)
-def widen(grid, reach, wide):  # type: ignore[no-untyped-def]
-    """Fill `wide` with the largest likelihood within +-reach cells of each cell of the grid."""
-    width, height = grid.shape
-    rows = np.empty_like(grid)
-    for x in range(width):
-        rows[x] = grid[x]
-        for other in range(max(0, x - reach), min(width, x + reach + 1)):
-            for y in range(height):
-                rows[x, y] = max(rows[x, y], grid[other, y])
-    wide[:] = rows
-    for x in range(width):
+def widen(grid, box, reach, wide):  # type: ignore[no-untyped-def]
+    """Fill `wide` with the largest likelihood within +-reach cells of each cell of the grid.
+
+    There is none outside of a box (4,), as of `splat`; farther away nothing is written.
+    """
+    left, right, bottom, top = _widened(box, reach, grid.shape)
+    count = top - bottom
+    row = np.empty(max(count, 0), grid.dtype)
+    for x in range(left, right):
+        row[:] = 0
+        for other in range(max(left, x - reach), min(right, x + reach + 1)):
+            _raise(row, grid[other, bottom:top], count)
+        widened = wide[x, bottom:top]
+        widened[:] = row
         for step in range(1, reach + 1):
-            for y in range(height - step):
-                wide[x, y] = max(wide[x, y], rows[x, y + step])
-            for y in range(step, height):
-                wide[x, y] = max(wide[x, y], rows[x, y - step])
+            _raise(widened, row[step:], count - step)
+            _raise(widened[step:], row, count - step)
 
 
 @numba.njit(cache=True, nogil=True)

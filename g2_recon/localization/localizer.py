@@ -11,6 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
@@ -167,8 +168,10 @@ class Localizer:
 
         Wheels that come late would tear a scan apart.
         """
-        wheels = self._twist if step is None else _velocity(step, elapsed)
-        return wheels if bool((np.abs(wheels - self._twist) <= _MOST_SUDDEN).all()) else self._twist
+        if step is None:
+            return self._twist
+        wheels = _velocity(step, elapsed)
+        return wheels if _is_within(wheels - self._twist, _MOST_SUDDEN) else self._twist
 
     def _place(self, seen: Beams, step: Float | None) -> Placement:
         if self._segment_is_empty:
@@ -182,7 +185,6 @@ class Localizer:
 
     def _grow_map(self, seen: Beams, placement: Placement) -> bool:
         """Add the scan if the robot has moved on since the last keyframe; a rejected match would blur the map."""
-        surfaces = np.count_nonzero(seen.kinds == SURFACE)
         if self._segment_is_empty:
             if placement.matched:
                 way = _BREAK_WAY_M if len(self._keyframes) else 0.0
@@ -190,7 +192,7 @@ class Localizer:
             return placement.matched
         moved = relative(self._keyframes.poses[-1], placement.pose)
         way, turn = math.hypot(moved[0], moved[1]), abs(moved[2])
-        if self._lost >= _PATIENCE and surfaces >= FEWEST_SURFACES:
+        if self._lost >= _PATIENCE and np.count_nonzero(seen.kinds == SURFACE) >= FEWEST_SURFACES:
             # Even a lone keyframe: no local map may reach over the break.
             self._finish_local_map(1)
             self._tracker.segment = len(self._keyframes)
@@ -228,8 +230,8 @@ class Localizer:
             owner = len(self._keyframes) - 1
             offset = np.zeros(3) if keyframe else relative(self._keyframes.poses[owner], pose)
         if not self._keep_scans and self._owners and owner == self._owners[-1] and not keyframe:
-            moved = np.abs(offset - self._offsets[-3:])
-            if max(moved[0], moved[1]) < _STANDING_M and moved[2] < _STANDING_RAD:
+            x, y, yaw = self._offsets[-3:]
+            if max(abs(offset[0] - x), abs(offset[1] - y)) < _STANDING_M and abs(offset[2] - yaw) < _STANDING_RAD:
                 return
         self._stamps.append(stamp)
         self._owners.append(owner)
@@ -537,8 +539,17 @@ def _close_more_loops(loops: LoopCloser, new: int | None, progress: Progress) ->
     loops.optimize()
 
 
-def _velocity(step: Float, elapsed: float) -> Float:
+@numba.njit(cache=True, nogil=True)
+def _velocity(step, elapsed):  # type: ignore[no-untyped-def]
     """A step (3,) a second, m/s and rad/s; 0 where the time is no help: equal, backward or far apart stamps."""
-    if not 0 < elapsed < _LONGEST_STEP_S:
-        return np.zeros(3)
-    return np.asarray(np.clip(step / elapsed, -_FASTEST, _FASTEST))
+    velocity = np.zeros(3)
+    if 0 < elapsed < _LONGEST_STEP_S:
+        for u in range(3):
+            velocity[u] = min(max(step[u] / elapsed, -_FASTEST[u]), _FASTEST[u])
+    return velocity
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_within(change, most):  # type: ignore[no-untyped-def]
+    """Whether no component of a change (3,) is larger than allowed (3,)."""
+    return abs(change[0]) <= most[0] and abs(change[1]) <= most[1] and abs(change[2]) <= most[2]

@@ -42,16 +42,15 @@ class OdometrySteps:
     def step(self, stamp: float, odometry: ArrayLike | None) -> Float | None:
         """The step to the scan at `stamp` s, where T_odom_base is `odometry` (3,); None where it is not known."""
         measured = None if odometry is None or not self._use else np.asarray(odometry, float)
-        if measured is not None and not np.isfinite(measured).all():
+        if measured is not None and not all(map(math.isfinite, measured)):
             measured = None
         last, elapsed = self._last, abs(stamp - self._stamp)
         self._last, self._stamp = measured, stamp
         if measured is None or last is None:
             return None
         step = relative(compose(last, self._T_base_laser), compose(measured, self._T_base_laser))
-        moved = relative(last, measured)
         farthest = _JUMP_M + _FASTEST_M_S * elapsed if elapsed else _JUMP_WITHOUT_TIME_M
-        if math.hypot(moved[0], moved[1]) > farthest:
+        if math.dist(measured[:2], last[:2]) > farthest:
             self.jumps += 1
             return None
         return np.asarray(step)

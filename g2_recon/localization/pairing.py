@@ -19,6 +19,9 @@ from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, SURFACE
 
 Float = NDArray[np.float64]
 
+PAIR_SIGMA_M = 0.05
+"""What one pair of points is trusted with, against wheels and guesses; neighboring beams err together."""
+
 NO_PARTNER, OUT_OF_VIEW = -1, -2
 """Instead of the index of a beam: none near enough; the other scan did not look there."""
 
@@ -309,12 +312,20 @@ def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigm
 
     loose: kinds of beams on no surface that count. Every `step`-th beam is used.
     """
+    rows = parted(points[i], normals[i], kinds[i], loose, step)
+    memory = room(kinds.shape[1])
+    return pair_of(T_j_i, i, rows, j, points, normals, kinds, firsts, increments, distance, sigma, loose, step, memory)
+
+
+@numba.njit(cache=True, nogil=True)
+def pair_of(  # type: ignore[no-untyped-def]
+    T_j_i, i, rows, j, points, normals, kinds, firsts, increments, distance, sigma, loose, step, memory
+):
+    """`pair`, for a keyframe i that many are laid on: its beams are parted already into rows."""
     hessian = np.zeros((3, 3))
     gradient = np.zeros(3)
-    memory = room(kinds.shape[1])
     inliers, seen = accumulate(
-        T_j_i, parted(points[i], normals[i], kinds[i], loose, step),
-        points[j], normals[j], kinds[j], firsts[j], increments[j],
+        T_j_i, rows, points[j], normals[j], kinds[j], firsts[j], increments[j],
         distance, sigma, False, hessian, gradient, memory, loose,
     )  # fmt: skip
     more, seen_back = accumulate(
@@ -325,7 +336,8 @@ def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigm
     return hessian, gradient, inliers + more, seen + seen_back
 
 
-def _several_pairs(poses, first, second, points, normals, kinds, firsts, increments, distance, sigma, loose, step):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True, nogil=True, parallel=True)
+def pairs(poses, first, second, points, normals, kinds, firsts, increments, distance, sigma, loose, step):  # type: ignore[no-untyped-def]
     """`pair` for many: T_j_i (M, 3) of keyframes i = first, j = second, hessians (M, 3, 3), gradients, counts.
 
     The counts (M, 2) are of inliers and of beams in view.
@@ -340,11 +352,6 @@ def _several_pairs(poses, first, second, points, normals, kinds, firsts, increme
             T[m], i, j, points, normals, kinds, firsts, increments, distance, sigma, loose, step
         )
     return T, hessians, gradients, counts
-
-
-pairs = numba.njit(cache=True, nogil=True, parallel=True)(_several_pairs)
-# On one core: for a few, where waiting for the others would take longer.
-few_pairs = numba.njit(cache=True, nogil=True)(_several_pairs)
 
 
 @numba.njit(cache=True, nogil=True)

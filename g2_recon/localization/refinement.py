@@ -14,7 +14,7 @@ from g2_recon.geometry.se2_kernels import wrap
 from g2_recon.localization import pairing, pose_graph
 from g2_recon.localization.beams import CORNER, LOOSE
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.tracking import PAIR_SIGMA_M
+from g2_recon.localization.pairing import PAIR_SIGMA_M
 from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]

@@ -23,9 +23,17 @@ from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, likelihood
 from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, Beams
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.pairing import add_levered, agreement, agreements_each_way, lay, parted, picked, room
+from g2_recon.localization.pairing import (
+    PAIR_SIGMA_M,
+    add_levered,
+    agreement,
+    agreements_each_way,
+    lay,
+    parted,
+    picked,
+    room,
+)
 from g2_recon.localization.point_map import first_in_each_cell
-from g2_recon.localization.tracking import PAIR_SIGMA_M
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]

@@ -6,14 +6,15 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.se2_kernels import relative
-from g2_recon.localization import pairing, pose_graph
+from g2_recon.localization import pose_graph
 from g2_recon.localization.beams import CORNER
 from g2_recon.localization.keyframes import Keyframes
-from g2_recon.localization.tracking import PAIR_SIGMA_M
+from g2_recon.localization.pairing import PAIR_SIGMA_M, pair_of, parted, room
 
 Float = NDArray[np.float64]
 
@@ -35,10 +36,11 @@ class Smoother:
 
     def __init__(self, keyframes: Keyframes) -> None:
         self._keyframes = keyframes
-        # Edges of each keyframe in the window to earlier ones, with that of the wheels, and where they begin.
+        # Edges of each keyframe in the window to earlier ones, that of the wheels last, and where they begin.
         self._edges = _Rows()
         self._begins: dict[int, int] = {}
-        self._wheels: dict[int, pose_graph.Edges] = {}
+        # Steps of the wheels to the keyframes that may be laid anew.
+        self._wheels: dict[int, Float] = {}
         self._latest: pose_graph.Edges | None = None
 
     def add(self, odometry: Float, segment: int) -> None:
@@ -51,16 +53,13 @@ class Smoother:
         if k == segment:
             return
         poses = self._keyframes.poses
-        self._wheels[k] = self._wheel_edge(k, odometry)
+        self._wheels[k] = self._wheel_step(k, odometry)
         self._wheels.pop(k - _RELAID, None)
         relaid, start = max(segment + 1, k + 1 - _RELAID), max(segment + 1, k - _LAG)
         self._edges.shorten(self._begins.get(relaid, self._edges.end))
-        laid = self._laid(relaid, k, segment)
         for i in range(relaid, k + 1):
-            self._begins[i] = self._edges.end
-            self._latest = laid[laid.first == i]
-            self._edges.extend(self._latest)
-            self._edges.extend(self._wheels[i])
+            self._lay(i, segment)
+        self._latest = self._edges.between(self._begins[k], self._edges.end - 1)
         for past in [i for i in self._begins if i < start]:
             del self._begins[past]
         window = self._edges.since(self._begins[start])
@@ -71,73 +70,94 @@ class Smoother:
     def refill(self, odometry: Float, segment: int) -> None:
         """Take up keyframes that there were before, which stay where they are; odometry: (N, 3) steps to each."""
         count = len(self._keyframes)
-        start = max(segment + 1, count - _LAG - _RELAID)
-        laid = self._laid(start, count - 1, segment)
-        for i in range(start, count):
-            self._wheels[i] = self._wheel_edge(i, odometry[i])
-            self._begins[i] = self._edges.end
-            self._edges.extend(laid[laid.first == i])
-            self._edges.extend(self._wheels[i])
+        for i in range(max(segment + 1, count - _LAG - _RELAID), count):
+            self._wheels[i] = self._wheel_step(i, odometry[i])
+            self._lay(i, segment)
 
     def latest(self) -> pose_graph.Edges | None:
         """The edges of the latest keyframe, at the present poses; None where there is none before it."""
         return None if self._latest is None else pose_graph.at_poses(self._keyframes.poses, self._latest)
 
-    def _wheel_edge(self, k: int, odometry: Float) -> pose_graph.Edges:
-        """The edge of keyframe k to the one before, by the step (3,) of the wheels or, where unknown, as it is."""
+    def _wheel_step(self, k: int, odometry: Float) -> Float:
+        """The step (3,) from the keyframe before k by the wheels or, where unknown, as it is."""
         poses = self._keyframes.poses
-        step = relative(poses[k - 1], poses[k]) if np.isnan(odometry).any() else odometry
-        last = np.array([k])
-        return pose_graph.measured(last, last - 1, step[None], _wheel_information(step)[None])
+        return np.asarray(relative(poses[k - 1], poses[k]) if np.isnan(odometry).any() else odometry)
 
-    def _laid(self, relaid: int, k: int, segment: int) -> pose_graph.Edges:
-        """Edges of the keyframes from `relaid` to k to those before them that they fit on."""
-        first = np.repeat(np.arange(relaid, k + 1), len(_SPANS))
-        second = first - np.tile(_SPANS, k + 1 - relaid)
-        first, second = first[second >= segment], second[second >= segment]
-        T, hessians, gradients, counts = pairing.few_pairs(
-            self._keyframes.poses, first, second, *self._keyframes.arrays, _DISTANCE_M, _KERNEL_M, CORNER, 1
-        )
-        fits = (counts[:, 0] > _LEAST_INLIERS * counts[:, 1]) & (counts[:, 0] > _FEWEST_INLIERS)
-        return pose_graph.Edges(first, second, T, hessians, gradients)[fits | (first - second <= _ALWAYS)]
+    def _lay(self, i: int, segment: int) -> None:
+        """Append the edges of keyframe i to those before it that it fits on, and that of the wheels."""
+        self._begins[i] = self._edges.end
+        keyframes, rows = self._keyframes, self._edges.room(len(_SPANS) + 1)
+        self._edges.end += _lay_on_earlier(
+            rows.first, rows.second, rows.T, rows.hessians, rows.gradients,
+            i, segment, self._wheels[i], keyframes.poses, *keyframes.arrays,
+        )  # fmt: skip
 
 
 class _Rows:
     """Edges one after the other, in arrays that need not be joined anew for every keyframe."""
 
     def __init__(self) -> None:
-        self._arrays: tuple[NDArray[np.generic], ...] = (
-            *(np.empty(_ROOM, np.int64), np.empty(_ROOM, np.int64)),
-            *(np.empty((_ROOM, 3)), np.empty((_ROOM, 3, 3)), np.empty((_ROOM, 3))),
-        )
+        ends = np.empty(_ROOM, np.int64), np.empty(_ROOM, np.int64)
+        self._edges = pose_graph.Edges(*ends, np.empty((_ROOM, 3)), np.empty((_ROOM, 3, 3)), np.empty((_ROOM, 3)))
         # Rows before `_first` are gone, those before `_kept` no longer needed.
         self._first = self._kept = self.end = 0
 
-    def extend(self, edges: pose_graph.Edges) -> None:
-        """Append edges."""
-        if self.end + len(edges) - self._first > _ROOM:
-            for array in self._arrays:
-                array[: self.end - self._kept] = array[self._kept - self._first : self.end - self._first]
+    def room(self, count: int) -> pose_graph.Edges:
+        """Where so many rows more can be written to, from `end` on."""
+        if self.end + count - self._first > _ROOM:
+            kept = self.since(self._kept)
+            edges = self._edges[: len(kept)]
+            edges.first[:], edges.second[:] = kept.first, kept.second
+            edges.T[:], edges.hessians[:], edges.gradients[:] = kept.T, kept.hessians, kept.gradients
             self._first = self._kept
-        rows = slice(self.end - self._first, self.end - self._first + len(edges))
-        parts = edges.first, edges.second, edges.T, edges.hessians, edges.gradients
-        for array, part in zip(self._arrays, parts, strict=True):
-            array[rows] = part
-        self.end += len(edges)
+        return self.between(self.end, self._first + _ROOM)
 
     def shorten(self, end: int) -> None:
         """Drop the rows from `end` on."""
         self.end = end
 
+    def between(self, begin: int, end: int) -> pose_graph.Edges:
+        """The edges from one row to before another; they change with the rows."""
+        return self._edges[begin - self._first : end - self._first]
+
     def since(self, row: int) -> pose_graph.Edges:
         """The edges from this row on; earlier ones will not be asked for again."""
         self._kept = row
-        rows = slice(row - self._first, self.end - self._first)
-        first, second, T, hessians, gradients = (array[rows] for array in self._arrays)
-        return pose_graph.Edges(first, second, T, hessians, gradients)  # type: ignore[arg-type]
+        return self.between(row, self.end)
 
 
-def _wheel_information(step: Float) -> Float:
+@numba.njit(cache=True, nogil=True)
+def _lay_on_earlier(  # type: ignore[no-untyped-def]
+    first, second, T, hessians, gradients, i, segment, wheels, poses, points, normals, kinds, firsts, increments
+):
+    """Write the edges of keyframe i to earlier ones, from `segment` on, into the first rows; how many there are.
+
+    The last one is that of the wheels, whose step (3,) is given.
+    """
+    rows, memory = parted(points[i], normals[i], kinds[i], CORNER, 1), room(kinds.shape[1])
+    count = 0
+    for span in _SPANS:
+        j = i - span
+        if j < segment:
+            continue
+        T_j_i = relative(poses[j], poses[i])
+        hessian, gradient, inliers, seen = pair_of(
+            T_j_i, i, rows, j, points, normals, kinds, firsts, increments, _DISTANCE_M, _KERNEL_M, CORNER, 1, memory
+        )
+        fits = inliers > _LEAST_INLIERS * seen and inliers > _FEWEST_INLIERS
+        if fits or span <= _ALWAYS:
+            first[count], second[count] = i, j
+            T[count], hessians[count], gradients[count] = T_j_i, hessian, gradient
+            count += 1
+    first[count], second[count] = i, i - 1
+    T[count], hessians[count], gradients[count] = wheels, _wheel_information(wheels), 0.0
+    return count + 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _wheel_information(step):  # type: ignore[no-untyped-def]
     way, turn = math.hypot(step[0], step[1]), abs(step[2])
-    along = _ODOMETRY_WEIGHT * (PAIR_SIGMA_M / (0.02 + 0.1 * way)) ** 2
-    return np.diag([along, along, (PAIR_SIGMA_M / (0.05 + 0.3 * turn)) ** 2])
+    information = np.zeros((3, 3))
+    information[0, 0] = information[1, 1] = _ODOMETRY_WEIGHT * (PAIR_SIGMA_M / (0.02 + 0.1 * way)) ** 2
+    information[2, 2] = (PAIR_SIGMA_M / (0.05 + 0.3 * turn)) ** 2
+    return information

@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, weakest
-from g2_recon.localization import likelihood, pairing
+from g2_recon.localization import likelihood
 from g2_recon.localization.beams import INVALID, SURFACE, Beams
+from g2_recon.localization.drawn_keyframes import DrawnKeyframes
 from g2_recon.localization.keyframes import Keyframes
+from g2_recon.localization.pairing import PAIR_SIGMA_M
+from g2_recon.localization.tracking_kernels import FINE_RESOLUTION_M, is_near, match_on_latest, slid, wheel_sigma
 
 Float = NDArray[np.float64]
 
-# The keyframes that a scan is laid on, counted back from the latest; the first few also have to agree with it.
-# Where the wheels say where to look, fewer will do.
+# The keyframes that a scan is laid on, counted back from the latest. Where the wheels say where to look, fewer will do.
 _FEW_REFERENCES = np.array([1, 2, 4, 7, 11, 16, 23, 32])
 _REFERENCES = np.array([1, 2, 3, 4, 6, 9, 13, 18, 24, 32])
-_WITNESSES = 5
-# What is drawn into the likelihood grid: so many keyframes, into cells of this size, blurred by this, m.
-_DRAWN = 40
+# They are drawn into cells of this size, blurred by this, m.
 _RESOLUTION_M, _SIGMA_M = 0.1, 0.12
 _GRID_CELLS = 500
 
@@ -44,24 +44,15 @@ _FAR_TURNS = np.radians([40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0]
 _FAR_MATCHED = 3
 
 # Along the direction in which the surfaces hold a scan least, if they hold it with less than so many beams, it slides
-# to where it fits best: so far, in such steps, in a grid of its own, m. It comes to lie so exactly, m, if the
-# likelihoods differ by more than this; and m^2 away from the prediction cost so much of it, with and without odometry.
+# to where it fits best, in a grid of its own with cells blurred by this, m. m^2 away from the prediction cost so much
+# of the likelihood, with and without odometry.
 _WEAK = 10.0
-_SLIDE_M, _SLIDE_STEP_M = 0.4, 0.025
-_FINE_RESOLUTION_M, _FINE_SIGMA_M, _FINE_CELLS = 0.05, 0.06, 1000
-_SLID_SIGMA_M, _LEAST_CONTRAST = 0.02, 0.08
-# Beams farther apart than this, m, on a wall that runs along that direction (sine between them less than so much) say
-# nothing about it.
-_DENSE_M, _ALONG = 0.1, 0.5
+_FINE_SIGMA_M, _FINE_CELLS = 0.06, 1000
 _AWAY_WITH_ODOMETRY, _AWAY_WITHOUT = 10.0, 1.0
 # Without odometry the robot is expected to move on as it did on average over the last scans; one alone errs too much.
 _STEADY = 10
 
-# Search distance and width of the robust kernel, first to last iteration, m.
-_DISTANCE_M, _KERNEL_M, _ITERATIONS = (0.35, 0.12), (0.08, 0.045), 10
-_FEW_ITERATIONS = 5
-PAIR_SIGMA_M = 0.05
-"""What one pair of points is trusted with, against wheels and guesses; neighboring beams err together."""
+_ITERATIONS, _FEW_ITERATIONS = 10, 5
 
 # A match is good if this share of the points that both scans can see is seen by both, contradictions counted twice, or
 # if it is hardly worse than the ones before; below the other share it is not believed.
@@ -71,12 +62,12 @@ LEAST_QUALITY = 0.6
 _MARGIN, _SEARCH_MARGIN, _INLIER_MARGIN = 0.08, 0.02, 0.1
 # A match from a start so near (m and rad) to where one has begun or ended would end there, too.
 _SAME_START = np.array([0.05, 0.05, math.radians(1.0)])
-# What the wheels say of a step is right within this, m and rad, and this share of the way and of the turn. A match is
-# not searched for where it lies within so many sigma of it; the wheels are wrong where it lies so many off.
-_WHEEL_SIGMA, _WHEEL_SHARE = (0.02, 0.02, 0.05), (0.1, 0.1, 0.2)
+# A match is not searched for where it lies within so many sigma of what the wheels say of the step; they are wrong
+# where it lies so many off.
 _LIKELY_SIGMAS, _DOUBTED_SIGMAS = 2.0, 1.0
 # Over so many steps odometry may come late: it stands still while the robot drives, and then jumps.
 _LATE = (2, 3, 4, 6, 8, 12)
+_UNKNOWN = np.full(3, np.nan)
 FEWEST_SURFACES = 10
 """A scan with fewer beams on surfaces says nothing about its pose."""
 
@@ -112,15 +103,12 @@ class Tracker:
         self.segment = 0
         # What a pair of points is trusted with in covariances, m; PAIR_SIGMA_M, against wheels and guesses, is more.
         self.pair_sigma = PAIR_SIGMA_M
-        self._grid = np.zeros((_GRID_CELLS, _GRID_CELLS), np.uint8)
-        self._wide = np.zeros_like(self._grid)
-        self._fine = np.zeros((_FINE_CELLS, _FINE_CELLS), np.uint8)
-        self._fine_bell = likelihood.bell(_FINE_RESOLUTION_M, _FINE_SIGMA_M)
-        self._fine_drawn = False
-        self._bell = likelihood.bell(_RESOLUTION_M, _SIGMA_M)
-        self._corner: Float = np.zeros(2)
-        self._fine_corner: Float = np.zeros(2)
-        self._drawn = False
+        self._drawn = DrawnKeyframes(
+            keyframes, cells=_GRID_CELLS, resolution=_RESOLUTION_M, sigma=_SIGMA_M, reach=_SHIFTS
+        )
+        self._finely_drawn = DrawnKeyframes(
+            keyframes, cells=_FINE_CELLS, resolution=FINE_RESOLUTION_M, sigma=_FINE_SIGMA_M
+        )
         self._velocity: Float = np.zeros(3)
         self._qualities: deque[float] = deque(maxlen=_MEMORY)
         # Of the latest scans: step of the odometry (NaN: unknown), and step that was found.
@@ -128,26 +116,29 @@ class Tracker:
 
     def moved(self) -> None:
         """To be called when keyframes were added or improved: what is drawn of them is out of date."""
-        self._drawn = self._fine_drawn = False
+        self._drawn.moved()
+        self._finely_drawn.moved()
 
     def track(self, beams: Beams, last: Float, step: Float | None) -> Placement:
         """Place a scan, given the pose (3,) of the scan before and the step (3,) of the odometry since, if known."""
         predictions = self._predictions(step)
         likeliest, sigma = next(predictions)
         guess = compose(last, likeliest)
-        placement = Placement(guess, np.diag(1 / sigma**2), 0.0, 0.0, False)
+        quality = inliers = 0.0
+        placement = None
         if np.count_nonzero(beams.kinds == SURFACE) >= FEWEST_SURFACES:
             best = self._best(beams, last, step, (likeliest, sigma), predictions)
             if best.matched:
                 # The wheels have had their say in the match.
                 placement = self._slid(beams, best, guess if step is None else best.pose, without=step is None)
                 self._qualities.append(placement.quality)
-                if step is not None and not _near(placement.pose, guess, _DOUBTED_SIGMAS * _wheel_sigma(step)):
+                if step is not None and not is_near(placement.pose, guess, wheel_sigma(step), _DOUBTED_SIGMAS):
                     placement = replace(placement, wheels_err=True)
-            else:
-                placement = replace(placement, quality=best.quality, inliers=best.inliers)
+            quality, inliers = best.quality, best.inliers
+        if placement is None:
+            placement = Placement(guess, np.diag(1 / sigma**2), quality, inliers, False)
         found = relative(last, placement.pose)
-        self._history.append((np.full(3, np.nan) if step is None else step, found))
+        self._history.append((_UNKNOWN if step is None else step, found))
         self._velocity = found.copy()
         if step is None:
             self._velocity[:2] = np.mean([found[:2] for _, found in self._history][-_STEADY:], axis=0)
@@ -170,14 +161,14 @@ class Tracker:
                 return best
         else:
             best, margin = self._lay(beams, guess, sigma, few=True), _SEARCH_MARGIN
-            if self._good(best) and _near(best.pose, guess, _LIKELY_SIGMAS * _wheel_sigma(step)):
+            if self._good(best) and is_near(best.pose, guess, wheel_sigma(step), _LIKELY_SIGMAS):
                 return best
             others = chain([first], others)
         tried = [best.pose]
         for predicted, uncertainty in others:
             expected = compose(last, predicted)
             start = self._start(beams, expected, without=step is None)
-            if not any(_near(start, known, _SAME_START) for known in tried):
+            if not any(is_near(start, known, _SAME_START, 1.0) for known in tried):
                 if step is None:
                     other = self._lay(beams, start, _FOUND_SIGMA)
                 else:
@@ -206,7 +197,7 @@ class Tracker:
         """Steps (3,) since the last scan with their sigma (3,), the likeliest first."""
         if step is not None:
             # Wheels that stand still at once, slip or come late are not worth more than the speed that they contradict.
-            sigma = _wheel_sigma(step)
+            sigma = wheel_sigma(step)
             yield step, np.hypot(sigma, step - self._velocity) if self._history else sigma
         way, turn = math.hypot(self._velocity[0], self._velocity[1]), abs(self._velocity[2])
         yield self._velocity, np.array([0.1 + 0.1 * way, 0.1 + 0.1 * way, 0.1 + 0.2 * turn])
@@ -231,25 +222,13 @@ class Tracker:
     ) -> Placement:
         """Match from a start; the guess (the start, if none is given) with its sigma holds what the scan does not."""
         keyframes = self._keyframes
-        back = len(keyframes) - (_FEW_REFERENCES if few else _REFERENCES)
-        references = back[back >= self.segment]
-        prior = np.diag((PAIR_SIGMA_M / sigma) ** 2)
-        pose, inliers, hessian, _ = pairing.match(
-            start,
-            start if guess is None else guess,
-            *(beams.points, beams.normals, beams.kinds),
-            *(references, keyframes.poses, *keyframes.arrays),
-            *(*_DISTANCE_M, *_KERNEL_M, _FEW_ITERATIONS if few else _ITERATIONS, prior),
-        )
-        same, against = pairing.agreements(
-            pose, beams.points, beams.normals, beams.kinds, beams.first, beams.increment,
-            references[:_WITNESSES], keyframes.poses, *keyframes.arrays, 2,
+        spans, iterations = (_FEW_REFERENCES, _FEW_ITERATIONS) if few else (_REFERENCES, _ITERATIONS)
+        pose, inliers, hessian, information, agreeing, quality = match_on_latest(
+            start, start if guess is None else guess, sigma, self.pair_sigma, iterations,
+            beams.points, beams.normals, beams.kinds, beams.first, beams.increment,
+            spans, self.segment, keyframes.poses, *keyframes.arrays,
         )  # fmt: skip
-        quality = same / max(1, same + 2 * against)
-        information = (hessian - prior) / self.pair_sigma**2 + np.diag(1 / sigma**2)
-        return Placement(
-            pose, information, quality, inliers, quality >= LEAST_QUALITY, hessian=hessian, agreeing=int(same)
-        )
+        return Placement(pose, information, quality, inliers, quality >= LEAST_QUALITY, False, hessian, agreeing)
 
     def _start(self, beams: Beams, guess: Float, *, without: bool) -> Float:
         """The best place around a guess, to match from.
@@ -261,20 +240,29 @@ class Tracker:
         start, _ = self._search(beams, guess, _TURNS_WITHOUT if without else _TURNS)
         if not without:
             return start
-        x, y = self._corner
+        drawn = self._drawn
         climbed: Float = likelihood.climb(
-            self._grid, beams.points, beams.kinds, start, x, y, _RESOLUTION_M, _TURN, _CLIMBS
+            drawn.grid,
+            beams.points,
+            beams.kinds,
+            start,
+            drawn.corner[0],
+            drawn.corner[1],
+            drawn.resolution,
+            _TURN,
+            _CLIMBS,
         )
         return climbed
 
     def _search(self, beams: Beams, guess: Float, turns: int) -> tuple[Float, float]:
         """The best place of the scan around a guess (3,), and its score."""
-        self._draw()
+        drawn = self._drawn
+        drawn.update(self.segment)
         used = max(1, np.count_nonzero(beams.kinds != INVALID) // _SEARCH_BEAMS)
-        x, y = self._corner
         found: tuple[Float, float] = likelihood.search(
-            self._grid, self._wide, beams.points, beams.kinds, guess, x, y, _RESOLUTION_M, turns, _TURN, _SHIFTS, used
-        )
+            drawn.grid, drawn.wide, beams.points, beams.kinds, guess,
+            drawn.corner[0], drawn.corner[1], drawn.resolution, turns, _TURN, _SHIFTS, used,
+        )  # fmt: skip
         return found
 
     def _slid(self, beams: Beams, placement: Placement, guess: Float, *, without: bool) -> Placement:
@@ -286,60 +274,14 @@ class Tracker:
         held, weak = weakest(placement.hessian)
         if held > _WEAK:
             return placement
-        expected = float((guess - placement.pose)[:2] @ weak)
-        cos, sin = math.cos(placement.pose[2]), math.sin(placement.pose[2])
-        in_scan = np.array([cos * weak[0] + sin * weak[1], cos * weak[1] - sin * weak[0]])
-        kinds = likelihood.telling(beams.points, beams.normals, beams.kinds, beams.increment, in_scan, _DENSE_M, _ALONG)
         away = _AWAY_WITHOUT if without else _AWAY_WITH_ODOMETRY
-        grid, (x, y) = self._drawn_fine(), self._fine_corner
-        off, contrast = likelihood.slide(
-            grid, beams.points, kinds, placement.pose, weak, _SLIDE_M, _SLIDE_STEP_M, expected, away,
-            x, y, _FINE_RESOLUTION_M,
+        drawn = self._finely_drawn
+        drawn.update(self.segment)
+        pose, information = slid(
+            placement.pose, placement.information, held, weak, guess, away,
+            beams.points, beams.normals, beams.kinds, beams.increment, drawn.grid, drawn.corner[0], drawn.corner[1],
         )  # fmt: skip
-        if contrast < _LEAST_CONTRAST:
-            return placement
-        seen = 1 / _SLID_SIGMA_M**2
-        pose, information = placement.pose.copy(), placement.information.copy()
-        pose[:2] += seen / (seen + held / PAIR_SIGMA_M**2) * off * weak
-        information[:2, :2] += seen * np.outer(weak, weak)
         return replace(placement, pose=pose, information=information)
-
-    def _drawn_fine(self) -> likelihood.Grid:
-        if not self._fine_drawn:
-            self._fine_corner = self._splat(self._fine, _FINE_RESOLUTION_M, self._fine_bell)
-            self._fine_drawn = True
-        return self._fine
-
-    def _splat(self, grid: likelihood.Grid, resolution: float, bell: likelihood.Grid) -> Float:
-        """Draw the latest keyframes into a grid around the last one; its corner (2,), m."""
-        count = len(self._keyframes)
-        poses = self._keyframes.poses
-        points, _, kinds, _, _ = self._keyframes.arrays
-        grid[:] = 0
-        corner = np.asarray(poses[-1, :2] - 0.5 * len(grid) * resolution)
-        drawn = slice(max(self.segment, count - _DRAWN), count)
-        likelihood.splat(grid, points[drawn], kinds[drawn], poses[drawn], corner[0], corner[1], resolution, bell)
-        return corner
-
-    def _draw(self) -> None:
-        if self._drawn:
-            return
-        self._corner = self._splat(self._grid, _RESOLUTION_M, self._bell)
-        likelihood.widen(self._grid, _SHIFTS, self._wide)
-        self._drawn = True
-
-
-def _wheel_sigma(step: Float) -> Float:
-    """Sigma (3,) of what the wheels say of a step (3,)."""
-    way, turn = math.hypot(step[0], step[1]), abs(step[2])
-    (x, y, yaw), (x_share, y_share, yaw_share) = _WHEEL_SIGMA, _WHEEL_SHARE
-    return np.array([x + x_share * way, y + y_share * way, yaw + yaw_share * turn])
-
-
-def _near(pose: Float, guess: Float, most: Float) -> bool:
-    """Whether a pose (3,) is no farther from a guess than this (3,)."""
-    off = relative(guess, pose)
-    return bool(abs(off[0]) <= most[0] and abs(off[1]) <= most[1] and abs(off[2]) <= most[2])
 
 
 def _fits_better(one: Placement, other: Placement) -> bool:

@@ -56,12 +56,22 @@ def test_a_grid_holds_the_largest_likelihood_of_all_points_and_ends_before_its_b
     points = np.array([[0.05, 0.05], [0.15, 0.05], [-5.85, 0.0], [7.9, 0.0], [-99.0, 0.0], [1.0, 1.0]])
     kinds = np.array([1, 2, 1, 1, 1, 0], np.uint8)
     grid = np.zeros((140, 140), np.uint8)
-    likelihood.splat(grid, points[None], kinds[None], np.zeros((1, 3)), *CORNER, RESOLUTION, bell)
+    box = likelihood.splat(grid, points[None], kinds[None], np.zeros((1, 3)), *CORNER, RESOLUTION, bell)
     expected = np.zeros((140, 140), np.uint8)
     for x in (60, 61):
         patch = expected[x - 2 : x + 3, 58:63]
         patch[:] = np.maximum(patch, bell)
     assert grid.tolist() == expected.tolist()
+    assert box.tolist() == [58, 64, 58, 63]
+    likelihood.clear(grid, box, 0)
+    assert not grid.any()
+
+
+def test_nothing_drawn_is_an_empty_box():
+    grid = np.zeros((140, 140), np.uint8)
+    nothing = np.zeros((1, 3, 2)), np.zeros((1, 3), np.uint8), np.zeros((1, 3))
+    left, right, bottom, top = likelihood.splat(grid, *nothing, *CORNER, RESOLUTION, likelihood.bell(RESOLUTION, 0.12))
+    assert (left, bottom) == (right, top)
 
 
 def test_the_score_is_the_mean_likelihood_of_the_points(scan_of_room):
@@ -74,9 +84,13 @@ def test_the_score_is_the_mean_likelihood_of_the_points(scan_of_room):
         assert score == pytest.approx(plain_score(grid, b.points[b.kinds > 0], POSE + off))
 
 
+def whole(grid):
+    return np.array([0, grid.shape[0], 0, grid.shape[1]])
+
+
 def search(grid, b, guess, turns=6, shifts=2, step=1):
     wide = np.empty_like(grid)
-    likelihood.widen(grid, shifts, wide)
+    likelihood.widen(grid, whole(grid), shifts, wide)
     return likelihood.search(
         grid, wide, b.points, b.kinds, np.array(guess, float), *CORNER, RESOLUTION, turns, TURN, shifts, step
     )
@@ -86,8 +100,21 @@ def search(grid, b, guess, turns=6, shifts=2, step=1):
 def test_a_widened_grid_has_the_largest_likelihood_around_each_cell(reach):
     grid = np.random.default_rng(0).integers(0, 256, (17, 23)).astype(np.uint8)
     wide = np.empty_like(grid)
-    likelihood.widen(grid, reach, wide)
+    likelihood.widen(grid, whole(grid), reach, wide)
     assert wide.tolist() == maximum_filter(grid, 2 * reach + 1, mode="constant").tolist()
+
+
+@pytest.mark.parametrize("box", [[5, 12, 3, 20], [0, 4, 0, 23], [7, 7, 9, 9]], ids=str)
+def test_widening_a_box_reaches_beyond_it_as_far_as_there_is_a_grid(box):
+    grid = np.zeros((17, 23), np.uint8)
+    left, right, bottom, top = box
+    drawn = grid[left:right, bottom:top]
+    drawn[:] = np.random.default_rng(0).integers(0, 256, drawn.shape)
+    wide = np.zeros_like(grid)
+    likelihood.widen(grid, np.array(box), 2, wide)
+    assert wide.tolist() == maximum_filter(grid, 5, mode="constant").tolist()
+    likelihood.clear(wide, np.array(box), 2)
+    assert not wide.any()
 
 
 @pytest.mark.parametrize("step", [1, 3])
