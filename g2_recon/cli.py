@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 
 import g2_recon
-from g2_recon import config, joint_pipeline, pictures, pipeline
+from g2_recon import config, joint_pipeline, pipeline
 from g2_recon.config import (
     G2ReconConfig,
     LocalizationConfig,
@@ -181,6 +181,8 @@ def run_localize(options: argparse.Namespace, console: Console) -> None:
             if result.session is None:
                 raise InputError("method paper has no session", where=options.session, advice="use --method graph")
             write_session(options.session, result.session)
+        from g2_recon import pictures
+
         pictures.draw_floor_plan(plan, result.point_map, result.trajectory, result.grid)
         progress("writing", 1, 1)
     rows: dict[str, Any] = {
@@ -299,6 +301,8 @@ def run_reconstruct(options: argparse.Namespace, console: Console) -> None:
         result = pipeline.reconstruct_surface(cloud, settings, progress=progress)
         write_mesh(target, result.mesh)
         write_wire_mesh(wire_target, result.wire_mesh)
+        from g2_recon import pictures
+
         pictures.draw_mesh(picture, result.mesh, result.wire_mesh)
         progress("writing", 1, 1)
     print_table("reconstructed", _reconstruction_rows(result), progress, console)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon import __version__, config, pictures, pipeline
+from g2_recon import __version__, config, pipeline
 from g2_recon.collaboration.alignment import Alignment
 from g2_recon.collaboration.live_merger import SweepPlace, SweepWork
 from g2_recon.collaboration.map_merger import JointMap, merge
@@ -27,7 +27,6 @@ from g2_recon.geometry.recording import Recording
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.localizer import Localizer
-from g2_recon.pictures import FloorPlan
 from g2_recon.pipeline import Localization, Registration
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.reconstructor import Reconstruction
@@ -215,9 +214,11 @@ def write_run(
     result: JointRun, settings: G2ReconConfig, folder: Path, *, summary: dict[str, Any], progress: Progress = silent
 ) -> None:
     """Write all files of a run into a folder; trajectory and cloud of each robot go into one of its name in there."""
+    from g2_recon import pictures
+
     inside = [name for name, run in result.robots.items() if run.in_map]
     points = np.concatenate([np.empty((0, 2)), *(result.robots[name].localization.point_map for name in inside)])
-    plans = [FloorPlan(points, result.robots[name].localization.trajectory, result.grid) for name in inside]
+    plans = [pictures.FloorPlan(points, result.robots[name].localization.trajectory, result.grid) for name in inside]
     reconstruction = result.reconstruction
     steps = [
         lambda: write_cloud(folder / "cloud.ply", result.cloud),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon import __version__, config, pictures
+from g2_recon import __version__, config
 from g2_recon.config import G2ReconConfig, LocalizationConfig, ReconstructionConfig, RegistrationConfig, SweepConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
@@ -383,6 +383,8 @@ def write_run(
     result: Run, settings: G2ReconConfig, folder: Path, *, summary: dict[str, Any], progress: Progress = silent
 ) -> None:
     """Write all files of a run into a folder: trajectory, map, cloud, meshes, pictures, settings and summary."""
+    from g2_recon import pictures
+
     localization = result.localization
     grid = localization.grid
     steps = [

@@ -278,3 +278,11 @@ def test_what_nodes_and_launch_files_import_is_in_the_manifest(manifest: Any, fo
         ROS_PACKAGES.get(name, ROSDEP_KEYS.get(name, name)): paths for name, paths in imported(ROOT / folder).items()
     }
     assert {name: paths for name, paths in imports.items() if name not in declared} == {}
+
+
+def test_what_is_large_and_only_draws_is_not_imported_by_what_does_not_draw() -> None:
+    # Matplotlib and scipy.stats take 25 MB of memory each.
+    code = "import sys, g2_recon.cli, g2_recon.pipeline; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    assert "scipy.spatial" in loaded
+    assert [name for name in ("matplotlib", "scipy.stats") if name in loaded] == []

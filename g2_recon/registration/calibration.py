@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy.special import chdtri, fdtri
 
 from g2_recon.config import RegistrationConfig
 from g2_recon.errors import InputError
@@ -289,8 +288,8 @@ def _widened(parts: int, axes: int) -> float:
     """By what a covariance from so few parts must be multiplied to be used as if it was known (Hotelling's T^2)."""
     if axes == 0 or parts <= axes + 1:
         return 1.0
-    hotelling = axes * (parts - 1) / (parts - axes) * f_distribution.ppf(0.95, axes, parts - axes)
-    return float(hotelling / chi2.ppf(0.95, axes))
+    hotelling = axes * (parts - 1) / (parts - axes) * fdtri(axes, parts - axes, 0.95)
+    return float(hotelling / chdtri(axes, 0.05))
 
 
 def _solution(moments: Float) -> Float:
