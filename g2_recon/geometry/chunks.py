@@ -20,8 +20,11 @@ _CHUNK = 8192
 def in_chunks(work: Callable[[int, int], Result], size: int, workers: int, *, chunk: int = _CHUNK) -> list[Result]:
     """What work(begin, end) returns for parts of range(size), called in threads.
 
-    It is for kernels without the global interpreter lock, or where NumPy lets go of it.
+    It is for kernels without the global interpreter lock, or where NumPy lets go of it. What would be one task only is
+    done here: a live mesh asks for hundreds of such a second, for which threads would cost more than the work.
     """
+    if workers == 1 or size <= chunk:
+        return [work(begin, min(begin + chunk, size)) for begin in range(0, size, chunk)]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(lambda begin: work(begin, min(begin + chunk, size)), range(0, size, chunk)))
 

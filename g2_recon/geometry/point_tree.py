@@ -8,7 +8,6 @@ kernel needs the neighbors of one point at a time. This search is most of what m
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry.chunks import taken
+from g2_recon.geometry.chunks import in_chunks, taken
 from g2_recon.geometry.selection import select
 
 Float = NDArray[np.float64]
@@ -25,8 +24,9 @@ Int = NDArray[np.int64]
 # Points in a leaf, and the best number of places to search for together.
 BLOCK = 8
 
-# Levels of the tree that are made one after the other, each in parallel; so are the parts below them.
-_SERIAL_LEVELS = 4
+# Levels of the tree that are made one after the other, each in parallel; so are the parts below them. So few points
+# are done before another thread has begun.
+_SERIAL_LEVELS, _FEW_POINTS = 4, 4096
 _LEVELS = 64
 
 
@@ -55,29 +55,27 @@ def point_tree(points: Float, rows: Int | None = None, *, workers: int = 1) -> P
     filled = -(-len(number) // BLOCK)
     depth = (filled - 1).bit_length()
     boxes = np.zeros((2 << depth, 6))
-    serial = min(depth, _SERIAL_LEVELS)
-    with ThreadPoolExecutor(workers) as pool:
-        for level in range(serial + 1):
-            until = level + 1 if level < serial else depth + 1
-            halve = partial(_halve, sorted_points, number, boxes, until=until, depth=depth)
-            list(pool.map(halve, range(1 << level, 2 << level)))
+    serial = 0 if workers == 1 or len(number) <= _FEW_POINTS else min(depth, _SERIAL_LEVELS)
+    for level in range(serial + 1):
+        until = level + 1 if level < serial else depth + 1
+        halve = partial(_halve, sorted_points, number, boxes, level, until, depth)
+        in_chunks(halve, 1 << level, workers, chunk=1)
     leaves = np.full((filled, 3, BLOCK), np.inf)
     _fill(sorted_points, leaves)
     return PointTree(boxes, leaves, number)
 
 
 @numba.njit(cache=True, nogil=True)
-def _halve(points, number, boxes, top, until, depth):  # type: ignore[no-untyped-def]
-    """Make the boxes of the nodes from `top` down to above level `until`, and order the points and their numbers so.
+def _halve(points, number, boxes, level, until, depth, begin, end):  # type: ignore[no-untyped-def]
+    """Make the boxes of the nodes from `begin` to before `end` of a level, and of those below down to above `until`.
 
-    Each node is cut across the longest side of its box, in multiples of a leaf.
+    Each node is cut across the longest side of its box, in multiples of a leaf, and points and their numbers are
+    ordered so.
     """
-    level, width = 0, 1
-    while top >> level > 1:
-        level += 1
+    first, last = (1 << level) + begin, (1 << level) + end
     while level < until:
         size = BLOCK << (depth - level)
-        for node in range(top * width, (top + 1) * width):
+        for node in range(first, last):
             begin = min((node - (1 << level)) * size, len(points))
             end = min(begin + size, len(points))
             low_x = low_y = low_z = np.inf
@@ -94,7 +92,7 @@ def _halve(points, number, boxes, top, until, depth):  # type: ignore[no-untyped
                     axis = 2
                 select(points, number, axis, begin, end, begin + size // 2)
         level += 1
-        width *= 2
+        first, last = 2 * first, 2 * last
 
 
 @numba.njit(cache=True, nogil=True)

@@ -10,7 +10,6 @@ here on points: a point p with normal n costs a cluster with center c and plane 
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numba
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_tree import BLOCK, nearest_to_block, point_tree
 from g2_recon.geometry.union_find import groups, link
 from g2_recon.reconstruction.surface_points import SurfacePoints, first_of_runs
@@ -167,15 +167,14 @@ def flat_clusters(
     origin = surface.points.mean(axis=0)
     everything = _sample(surface, origin, slice(None))
     thinned = _sample(surface, origin, first_of_runs(surface.cells))
-    with ThreadPoolExecutor(workers) as pool:
-        planes = _seeded(thinned, costs, _area(surface) / patch_area, seed, pool)
-        planes = _flattened(thinned, planes, costs, bent, pool)
-        label = _assign(everything, planes, costs, pool)
-        label = _connected(everything.points, surface.neighbors, label, gap)
-        planes = _fit(everything, label, pool)
-        label = _without_scraps(everything, surface, label, planes, costs, min_area)
-        planes = _trimmed_fit(everything, label, pool)
-        planes = _lines_on_planes(everything, label, planes, patch_size)
+    planes = _seeded(thinned, costs, _area(surface) / patch_area, seed, workers)
+    planes = _flattened(thinned, planes, costs, bent, workers)
+    label = _assign(everything, planes, costs, workers)
+    label = _connected(everything.points, surface.neighbors, label, gap)
+    planes = _fit(everything, label, workers)
+    label = _without_scraps(everything, surface, label, planes, costs, min_area)
+    planes = _trimmed_fit(everything, label, workers)
+    planes = _lines_on_planes(everything, label, planes, patch_size)
     return FlatClusters(label, planes.centers + origin, planes.normals, planes.thickness)
 
 
@@ -209,7 +208,7 @@ def _area(surface: SurfacePoints) -> float:
     return float((1 / crossed).sum()) * (surface.voxel * 2**_AREA_LEVEL) ** 2
 
 
-def _seeded(sample: _Sample, costs: _Costs, clusters: float, seed: int, pool: ThreadPoolExecutor) -> _Planes:
+def _seeded(sample: _Sample, costs: _Costs, clusters: float, seed: int, workers: int) -> _Planes:
     """About so many clusters that are compact and face one way, by k-means of positions and normals.
 
     The first centers are spread over the surface by its order in space.
@@ -228,22 +227,22 @@ def _seeded(sample: _Sample, costs: _Costs, clusters: float, seed: int, pool: Th
     planes = _Planes(part.points[start], part.normals[start], np.zeros(count), np.ones(count), np.zeros(count, bool))
     compact = replace(costs, height=0.0)
     for _ in range(_SEED_ITERATIONS):
-        planes = _fit(part, _assign(part, planes, compact, pool), pool)
+        planes = _fit(part, _assign(part, planes, compact, workers), workers)
     return planes
 
 
-def _flattened(sample: _Sample, planes: _Planes, costs: _Costs, bent: float, pool: ThreadPoolExecutor) -> _Planes:
+def _flattened(sample: _Sample, planes: _Planes, costs: _Costs, bent: float, workers: int) -> _Planes:
     """Lloyd's iteration with planes; on the way, clusters are divided that do not fit their plane.
 
     First what lies off the plane becomes a cluster of its own; what is still thicker than `bent` (m) is cut in two.
     """
     for iteration in range(1, _ITERATIONS + 1):
-        label = _assign(sample, planes, costs, pool)
+        label = _assign(sample, planes, costs, workers)
         if iteration in _DIVISIONS_AFTER:
             label = _numbered(label)
-            label = _numbered(_without_misfits(sample, label, _fit(sample, label, pool), costs))
-            label = _split(sample, label, _fit(sample, label, pool).thickness > bent, np.sqrt(costs.distance))
-        planes = _fit(sample, label, pool)
+            label = _numbered(_without_misfits(sample, label, _fit(sample, label, workers), costs))
+            label = _split(sample, label, _fit(sample, label, workers).thickness > bent, np.sqrt(costs.distance))
+        planes = _fit(sample, label, workers)
     return planes
 
 
@@ -307,13 +306,13 @@ def _split(sample: _Sample, label: Int, which: NDArray[np.bool_], scale: float) 
     return label
 
 
-def _assign(sample: _Sample, planes: _Planes, costs: _Costs, pool: ThreadPoolExecutor) -> Int:
+def _assign(sample: _Sample, planes: _Planes, costs: _Costs, workers: int) -> Int:
     """The cheapest cluster (M,) for each point among the 32 whose centers are nearest to its block."""
     tree = point_tree(planes.centers)
     label = np.empty(len(sample), np.int64)
 
-    def assign(start: int) -> None:
-        part = slice(start, start + _CHUNK)
+    def assign(begin: int, end: int) -> None:
+        part = slice(begin, end)
         block = sample.block[part]
         distance, near = _nearest_centers(tree, sample.middles[block[0] : block[-1] + 1])
         _assign_points(
@@ -330,7 +329,7 @@ def _assign(sample: _Sample, planes: _Planes, costs: _Costs, pool: ThreadPoolExe
             label[part],
         )
 
-    list(pool.map(assign, range(0, len(sample), _CHUNK)))
+    in_chunks(assign, len(sample), workers, chunk=_CHUNK)
     return label
 
 
@@ -449,10 +448,10 @@ def _adopting(  # type: ignore[no-untyped-def]
     return best
 
 
-def _fit(sample: _Sample, label: Int, pool: ThreadPoolExecutor) -> _Planes:
+def _fit(sample: _Sample, label: Int, workers: int) -> _Planes:
     """Planes of the clusters 0 to K - 1; those without points are left out, points with label -1 count for none."""
     anchor = _anchors(sample.points, label, int(label.max()) + 1)
-    return _planes(_moments(sample, label, anchor, None, pool), anchor, sample.noise)
+    return _planes(_moments(sample, label, anchor, None, workers), anchor, sample.noise)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -466,12 +465,12 @@ def _anchors(points, label, count):  # type: ignore[no-untyped-def]
     return anchor
 
 
-def _trimmed_fit(sample: _Sample, label: Int, pool: ThreadPoolExecutor) -> _Planes:
+def _trimmed_fit(sample: _Sample, label: Int, workers: int) -> _Planes:
     """Planes of the clusters without the points that are 2.5 standard deviations off them, found in two rounds."""
-    planes = _fit(sample, label, pool)
+    planes = _fit(sample, label, workers)
     for _ in range(_TRIM_ROUNDS):
         limit = _TRIM * np.maximum(planes.thickness, sample.noise)
-        moments = _moments(sample, label, planes.centers, (planes.normals, limit), pool)
+        moments = _moments(sample, label, planes.centers, (planes.normals, limit), workers)
         planes = _planes(moments, planes.centers, sample.noise)
     return planes
 
@@ -498,17 +497,15 @@ def _lines_on_planes(sample: _Sample, label: Int, planes: _Planes, patch_size: f
     return replace(planes, normals=normals)
 
 
-def _moments(
-    sample: _Sample, label: Int, anchor: Float, slab: tuple[Float, Float] | None, pool: ThreadPoolExecutor
-) -> Float:
+def _moments(sample: _Sample, label: Int, anchor: Float, slab: tuple[Float, Float] | None, workers: int) -> Float:
     """Sums (K, 13) over each cluster: weights, offsets from the anchors (K, 3), their products, and normals.
 
     slab: only points whose offset along the first (K, 3) is at most the second (K,).
     """
     normals, limit = slab or (np.zeros_like(anchor), np.zeros(len(anchor)))
 
-    def accumulate(start: int) -> Float:
-        part = slice(start, start + _CHUNK)
+    def accumulate(begin: int, end: int) -> Float:
+        part = slice(begin, end)
         sums = np.zeros((len(anchor), 13))
         _accumulate(
             sample.points[part],
@@ -524,7 +521,7 @@ def _moments(
 
     # Chunks are the same, and added in the same order, on any number of workers.
     total = np.zeros((len(anchor), 13))
-    for sums in pool.map(accumulate, range(0, len(sample), _CHUNK)):
+    for sums in in_chunks(accumulate, len(sample), workers, chunk=_CHUNK):
         total += sums
     return total
 
