@@ -119,6 +119,6 @@ def test_each_point_has_one_place_and_lies_in_the_boxes_above_it(count: int) -> 
 
 
 def test_the_tree_does_not_depend_on_the_workers() -> None:
-    points = np.random.default_rng(4).normal(size=(3000, 3))
+    points = np.random.default_rng(4).normal(size=(9000, 3))
     for one, three in zip(point_tree(points, workers=1), point_tree(points, workers=3), strict=True):
         np.testing.assert_array_equal(one, three)
