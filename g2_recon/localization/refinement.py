@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +42,19 @@ _WHEEL_WEIGHT, _WHEEL_KERNEL = 25.0, 9.0
 _BROKEN = 1e-6
 
 
+class _Partners(NamedTuple):
+    """Which beams of two keyframes count as seeing the same in one round.
+
+    distance: m, that they lie apart at most. sigma: m, of the robust kernel. loose: kinds of beams on no surface that
+    count. step: every so manieth beam does.
+    """
+
+    distance: float
+    sigma: float
+    loose: int
+    step: int
+
+
 def refine(
     keyframes: Keyframes, ways: Float, odometry: Float, broken: NDArray[np.bool_], *, progress: Progress = silent
 ) -> Float:
@@ -57,12 +72,8 @@ def refine(
     while done < _ROUNDS:
         if (wide + done) % 3 == 0:
             first, second = neighbors(poses, ways)
-        share = min(1.0, done / (_ROUNDS - 3))
-        distance = _DISTANCE_M[0] * (_DISTANCE_M[1] / _DISTANCE_M[0]) ** share
-        sigma = _SIGMA_M[0] * (_SIGMA_M[1] / _SIGMA_M[0]) ** share
-        step, loose = (_COARSE_STEP, _COARSE_LOOSE) if done < _COARSE_ROUNDS else (1, _FINE_LOOSE)
         before = poses
-        poses = _improved(poses, keyframes, wheels, first, second, distance, sigma, loose, step)
+        poses = _improved(poses, keyframes, wheels, first, second, _partners(done))
         if done == 0 and wide < _MOST_WIDE_ROUNDS and _most_changed(before, poses) > _AT_REST_M:
             wide += 1
         else:
@@ -71,20 +82,23 @@ def refine(
     return poses
 
 
+def _partners(done: int) -> _Partners:
+    """Of the next round after so many."""
+    share = min(1.0, done / (_ROUNDS - 3))
+    distance = _DISTANCE_M[0] * (_DISTANCE_M[1] / _DISTANCE_M[0]) ** share
+    sigma = _SIGMA_M[0] * (_SIGMA_M[1] / _SIGMA_M[0]) ** share
+    if done < _COARSE_ROUNDS:
+        return _Partners(distance, sigma, _COARSE_LOOSE, _COARSE_STEP)
+    return _Partners(distance, sigma, _FINE_LOOSE, 1)
+
+
 def _improved(
-    poses: Float,
-    keyframes: Keyframes,
-    wheels: pose_graph.Edges,
-    first: Int,
-    second: Int,
-    distance: float,
-    sigma: float,
-    loose: int,
-    step: int,
+    poses: Float, keyframes: Keyframes, wheels: pose_graph.Edges, first: Int, second: Int, partners: _Partners
 ) -> Float:
     """The poses (N, 3) after one round: pairs of keyframes (M,) laid on each other, and the graph of them solved."""
+    step = partners.step
     T, hessians, gradients, counts = pairing.pairs(
-        poses, first, second, *keyframes.arrays, distance, sigma, loose, step
+        poses, first, second, *keyframes.arrays, partners.distance, partners.sigma, partners.loose, step
     )
     # As of all beams.
     hessians, gradients, counts = step * hessians, step * gradients, step * counts
