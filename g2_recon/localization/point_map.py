@@ -81,7 +81,7 @@ def map_of_keyframes(poses: Float, points: NDArray[np.float32], kinds: NDArray[n
 
     A beam of kind 0 is no measurement.
     """
-    clouds = [np.empty((0, 2))]
+    clouds: list[Float] = [np.empty((0, 2))]
     for begin in range(0, len(poses), _PLACED_AT_ONCE):
         some = slice(begin, begin + _PLACED_AT_ONCE)
         cloud = _placed(poses[some], points[some], kinds[some])
