@@ -169,6 +169,13 @@ class RegistrationConfig(_Model):
         ge=1,
         le=100_000_000,
     )
+    new_points: float = _setting(
+        0.1,
+        "live: a scan is not needed, and counted, of which a smaller share lies where pieces before the latest 30 have "
+        "no point within a cube of 0.2 m, seen from the same side; 0: all are needed",
+        ge=0,
+        le=1,
+    )
 
     @model_validator(mode="after")
     def _check(self) -> RegistrationConfig:

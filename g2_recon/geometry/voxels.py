@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""Cubes in space, to thin clouds."""
+"""Cubes in space, to thin clouds and to tell where there are enough points."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+from g2_recon.geometry.cloud import Cloud
 
 _BITS = 21
 
@@ -17,6 +19,17 @@ def voxel_numbers(points: NDArray[np.float64], edge: float) -> NDArray[np.int64]
     """
     cells = np.floor(points / edge).astype(np.int64) & (2**_BITS - 1)
     return np.asarray((cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2])
+
+
+def sided_voxel_numbers(cloud: Cloud, edge: float) -> NDArray[np.int64]:
+    """A number (N,) for the cube of `edge` metres that each point lies in and the octant that it was seen from.
+
+    So the two sides of a thin wall are told apart. Where no sensor is known, it is the octant of the cube instead.
+    """
+    if cloud.sensor is None:
+        return voxel_numbers(cloud.points, edge / 2)
+    beyond = np.where(cloud.sensor > cloud.points, 0.75, 0.25)
+    return voxel_numbers(edge * (np.floor(cloud.points / edge) + beyond), edge / 2)
 
 
 class VoxelFilter:
@@ -33,3 +46,37 @@ class VoxelFilter:
         new = [row for number, row in zip(numbers.tolist(), rows.tolist(), strict=True) if number not in self._taken]
         self._taken.update(numbers.tolist())
         return np.sort(np.array(new, np.intp))
+
+
+class VoxelCounts:
+    """How many points there are in each cube; it takes 12 bytes for one with a point."""
+
+    def __init__(self) -> None:
+        self._numbers: NDArray[np.int64] = np.empty(0, np.int64)
+        self._counts: NDArray[np.int32] = np.empty(0, np.int32)
+
+    def add(self, numbers: NDArray[np.int64], times: int = 1) -> None:
+        """Count points in the cubes of these numbers (N,), each so many times; -1 takes points away again."""
+        new, counts = np.unique(numbers, return_counts=True)
+        counts = (times * counts).astype(np.int32)
+        rows, known = self._find(new)
+        self._counts[rows[known]] += counts[known]
+        self._numbers = np.insert(self._numbers, rows[~known], new[~known])
+        self._counts = np.insert(self._counts, rows[~known], counts[~known])
+        if not self._counts.all():
+            some = self._counts != 0
+            self._numbers, self._counts = self._numbers[some], self._counts[some]
+
+    def of(self, numbers: NDArray[np.int64]) -> NDArray[np.int32]:
+        """The counts (N,) of the cubes of these numbers (N,)."""
+        rows, known = self._find(numbers)
+        counts = np.zeros(len(numbers), np.int32)
+        counts[known] = self._counts[rows[known]]
+        return counts
+
+    def _find(self, numbers: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Where the numbers (N,) are, or would have to be, and whether they are there."""
+        rows = np.searchsorted(self._numbers, numbers)
+        known = rows < len(self._numbers)
+        known[known] = self._numbers[rows[known]] == numbers[known]
+        return rows, known

@@ -43,6 +43,14 @@ def pyramid(points: Float, *, resolution: float, sigma: float) -> Pyramid:
     return Pyramid(levels, corner, resolution)
 
 
+def raised(ground: Pyramid) -> Pyramid:
+    """The pyramid of which the lowest level is known."""
+    levels = np.zeros((_LEVELS, *ground.levels.shape[1:]), np.uint8)
+    levels[0] = ground.levels[0]
+    raise_maxima(levels)
+    return Pyramid(levels, ground.corner, ground.resolution)
+
+
 @numba.njit(cache=True, nogil=True)
 def _fill(levels, points, corner, resolution, sigma):  # type: ignore[no-untyped-def]
     _, width, height = levels.shape

@@ -93,7 +93,8 @@ class KeyframeGrid:
         return self._caught_up
 
     def _count(self, place: Float, scan: Scan) -> None:
-        self._counted.append(place)
+        # A row that is no copy would keep the poses of all keyframes.
+        self._counted.append(place.copy())
         try:
             self._builder.add(
                 compose(place, self._T_base_laser),

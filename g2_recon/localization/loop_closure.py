@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -30,7 +30,7 @@ from g2_recon.localization.point_map import first_in_each_cell
 Float = NDArray[np.float64]
 
 _RESOLUTION_M, _SIGMA_M = 0.1, 0.1
-# Up to 1 MB each, they are made in some milliseconds.
+# Of so many the lowest level is kept, up to 0.2 MB each; those above it, four times as much, are soon made again.
 _MOST_PYRAMIDS = 64
 # A local map is looked for with this many of its points, from so near, thinned to such cells.
 _QUERY_POINTS, _QUERY_RANGE_M, _QUERY_CELL_M = 500, 15.0, 0.15
@@ -99,7 +99,8 @@ class LoopCloser:
         self._shown, self._expected = _DRIFTS_BEFORE, _DRIFTS_BEFORE
         self._pair_sigma = 0.0
         self.loops: list[tuple[int, int, Float, Float]] = []
-        self._pyramids: dict[int, Pyramid] = {}
+        # Pyramids of local maps, of their lowest level only.
+        self._grounds: dict[int, Pyramid] = {}
         self._cost = 0.0
         # No loop is looked for between earlier local maps and those from this one on: how they lie is not known.
         self.apart = 0
@@ -226,16 +227,17 @@ class LoopCloser:
 
     def _pyramid(self, c: int) -> Pyramid:
         """That of a local map; the latest ones are kept, as those near by are asked for again and again."""
-        made = self._pyramids.pop(c, None)
-        if made is None:
-            first, last = self.maps[max(0, c - 1)].first, self.maps[min(len(self.maps) - 1, c + 1)].last
-            cloud = self._cloud(first, last, self._keyframes.poses[self.maps[c].reference], _MAP_RANGE_M, _MAP_CELL_M)
-            made = branch_and_bound.pyramid(cloud, resolution=_RESOLUTION_M, sigma=_SIGMA_M)
-            if c + 1 >= len(self.maps):
-                return made
-        self._pyramids[c] = made
-        if len(self._pyramids) > _MOST_PYRAMIDS:
-            del self._pyramids[next(iter(self._pyramids))]
+        known = self._grounds.pop(c, None)
+        if known is not None:
+            self._grounds[c] = known
+            return branch_and_bound.raised(known)
+        first, last = self.maps[max(0, c - 1)].first, self.maps[min(len(self.maps) - 1, c + 1)].last
+        cloud = self._cloud(first, last, self._keyframes.poses[self.maps[c].reference], _MAP_RANGE_M, _MAP_CELL_M)
+        made = branch_and_bound.pyramid(cloud, resolution=_RESOLUTION_M, sigma=_SIGMA_M)
+        if c + 1 < len(self.maps):
+            self._grounds[c] = replace(made, levels=made.levels[:1].copy())
+            if len(self._grounds) > _MOST_PYRAMIDS:
+                del self._grounds[next(iter(self._grounds))]
         return made
 
     def _ways(self, c: int) -> Float:

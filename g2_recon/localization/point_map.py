@@ -10,6 +10,10 @@ from scipy.spatial import cKDTree
 
 Float = NDArray[np.float64]
 
+# The points of so many keyframes are placed and thinned at once: those of a long way would take far more memory than
+# the map.
+_PLACED_AT_ONCE = 128
+
 
 class PointMap:
     """Points in the map frame, thinned to a spacing, with nearest-neighbor search near the robot.
@@ -77,8 +81,18 @@ def map_of_keyframes(poses: Float, points: NDArray[np.float32], kinds: NDArray[n
 
     A beam of kind 0 is no measurement.
     """
+    clouds: list[Float] = [np.empty((0, 2))]
+    for begin in range(0, len(poses), _PLACED_AT_ONCE):
+        some = slice(begin, begin + _PLACED_AT_ONCE)
+        cloud = _placed(poses[some], points[some], kinds[some])
+        clouds.append(cloud[first_in_each_cell(cloud, spacing)])
+    joined = np.concatenate(clouds)
+    return joined[first_in_each_cell(joined, spacing)]
+
+
+def _placed(poses: Float, points: NDArray[np.float32], kinds: NDArray[np.uint8]) -> Float:
+    """The points (N, 2) of keyframes in the map."""
     keyframe, beam = np.nonzero(kinds)
     x, y = points[keyframe, beam].T.astype(float)
     at_x, at_y, cos, sin = (each[keyframe] for each in (*poses[:, :2].T, np.cos(poses[:, 2]), np.sin(poses[:, 2])))
-    cloud = np.column_stack([at_x + cos * x - sin * y, at_y + sin * x + cos * y])
-    return cloud[first_in_each_cell(cloud, spacing)]
+    return np.column_stack([at_x + cos * x - sin * y, at_y + sin * x + cos * y])

@@ -26,7 +26,7 @@ from g2_recon.localization.methods import AnyLocalizer
 from g2_recon.nodes import conversions
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED
-from g2_recon.nodes.stage_node import StageNode
+from g2_recon.nodes.stage_node import StageNode, give_back_memory
 
 # Wall time a second for the occupancy grid, so that it takes a tenth of a core at most while a closed loop makes it
 # count anew; it looks at the time after so many keyframes.
@@ -135,6 +135,8 @@ class MapPublisher:
             if not grid.is_current(poses) and _counted(grid, poses):
                 self._say_left_out(grid)
                 self._map.publish(conversions.grid_message(head, grid.grid()))
+            # Poses and points of all keyframes, once a second, would else leave more and more between what stays.
+            give_back_memory()
         except Exception:
             # A fault in here must not end the poses. While the node ends, nothing can be published any more.
             if self._node.context.ok():

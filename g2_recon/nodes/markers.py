@@ -41,8 +41,9 @@ _SCALE = np.array([colorsys.hsv_to_rgb(2 / 3 * (1 - step / 255), 0.8, 0.95) for 
 # A marker whose corners and colors moved by less stays as it was sent.
 _SAME_M = 1e-4
 _SAME_COLOR = 1 / 64
-# More than the last message, so that none is lost to a subscriber that is slow to take them.
-_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# More than the last message, so that none is lost to a subscriber that is slow to take them; not many, as each may hold
+# the whole mesh.
+_QOS = QoSProfile(depth=3, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Who subscribes gets all that is shown, and again after so long, as two ends of a connection match at different times;
 # so does everybody once nothing more has changed for so long.
 _SETTLED_S = 1.0

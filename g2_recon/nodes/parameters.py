@@ -139,6 +139,13 @@ class ReconstructParameters(_SessionModel, _MapNodeModel, ReconstructionConfig):
         "at 5 cm, gray without points",
     )
     cloud_topics: tuple[str, ...] = _parameter(("cloud",), "topics of the clouds, one or more a robot")
+    enough_points: int = _parameter(
+        2,
+        "where pieces of the cloud before the latest 30 have so many points in a cube with the edge that `spacing` has "
+        "at the start, seen from the same side, others are counted and not kept: memory grows with the surfaces only",
+        ge=1,
+        le=100_000_000,
+    )
 
 
 class MapMergerParameters(_NodeModel):

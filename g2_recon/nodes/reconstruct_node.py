@@ -55,7 +55,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
     def __init__(self) -> None:
         """Raises ConfigError where a parameter is wrong."""
         super().__init__("reconstruct_node", ReconstructParameters)
-        self._collected = CollectedCloud()
+        self._collected = CollectedCloud(self.settings.spacing, self.settings.enough_points)
         self._newest_stamp = Time()
         self._growing: GrowingReconstruction | None = None
         self._result: Reconstruction | None = None
@@ -105,6 +105,7 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         values: dict[str, object] = {
             "accepted clouds": self._accepted,
             "points": len(self._collected),
+            "points not kept where there are enough": self._collected.redundant,
             "reconstruction": self._stage or "idle",
         }
         if self._result is not None:

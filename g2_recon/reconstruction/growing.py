@@ -129,7 +129,7 @@ class GrowingReconstruction:
         try:
             gone, new = self._changes(parts)
             if self._result is None or gone or new:
-                self._state, mesh = _grown(self._state, gone, new, self._config, progress)
+                self._state, mesh = _grown(self._take_state(), gone, new, self._config, progress)
                 self._result = _result(self._state, mesh, sum(len(part.cloud) for part in parts.values()))
         except BaseException:
             self.reset()
@@ -139,6 +139,11 @@ class GrowingReconstruction:
     def reset(self) -> None:
         """Forget all points and submaps: the next update begins from nothing."""
         self._taken, self._state, self._result = {}, None, None
+
+    def _take_state(self) -> _State | None:
+        """The state, which nobody else has then: what it was goes bit by bit while the next one comes to be."""
+        state, self._state = self._state, None
+        return state
 
     def _changes(self, parts: Mapping[Hashable, Part]) -> tuple[list[int], list[tuple[int, Cloud]]]:
         """Numbers of the parts whose points are gone, and clouds that are new, with the numbers of their parts."""
@@ -185,19 +190,22 @@ def _grown(
     if state is None:
         return _all_anew(_blank(cloud, cloud.points, part), np.full(len(cloud), -1), 0, config, progress)
     added = _blank(cloud, state.frame.of(cloud, workers=workers).points, part)
-    before, names = state.points, _names(state)
-    keep = ~np.isin(before.part, gone)
-    changed = np.concatenate([before.own[~keep], added.own])
-    near = _near(before.own, changed, NORMAL_RADIUS * config.spacing, workers)
+    names, own = _names(state), state.points.own
+    keep = ~np.isin(state.points.part, gone)
+    changed = np.concatenate([own[~keep], added.own])
+    near = _near(own, changed, NORMAL_RADIUS * config.spacing, workers)
     stale = np.unique(names[(near | ~keep) & (names >= 0)])
     anew = np.isin(names, stale) | (near & (names < 0))
     anew = np.concatenate([anew[keep], np.ones(len(added), bool)])
-    points = _together(before.take(np.flatnonzero(keep)), added)
+    del own
+    if not keep.all():
+        state = replace(state, points=state.points.take(np.flatnonzero(keep)))
+    state = replace(state, points=_together(state.points, added))
     names = np.concatenate([names[keep], np.full(len(added), -1)])
     # Without sensors only the whole tells which side of a surface is the free one.
-    if points.cloud.sensor is None or np.count_nonzero(anew) >= _MOST_ANEW * len(points):
-        return _all_anew(points, names, state.names, config, progress)
-    state = _without(replace(state, points=points), stale)
+    if state.points.cloud.sensor is None or np.count_nonzero(anew) >= _MOST_ANEW * len(state.points):
+        return _all_anew(state.points, names, state.names, config, progress)
+    state = _without(state, stale)
     if gone:
         state = _on_data(state, config)
     return _some_anew(state, anew, names, config, progress)

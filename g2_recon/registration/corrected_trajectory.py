@@ -71,7 +71,7 @@ class CorrectedTrajectory:
         """
         matrix = np.asarray(T_map_base, float)
         if self._count == len(self._rows.stamps):
-            self._rows = Poses(*(np.concatenate([rows, np.empty_like(rows)]) for rows in self._rows))
+            self._rows = Poses(*map(_doubled, self._rows))
         row = int(np.searchsorted(self._rows.stamps[: self._count], stamp))
         if row == self._count or self._rows.stamps[row] != stamp:
             for rows in self._rows:
@@ -176,6 +176,13 @@ class CorrectedTrajectory:
         begin = max(int(np.searchsorted(stamps, first, side="right")) - 1, 0)
         end = min(int(np.searchsorted(stamps, last)) + 1, self._count)
         return Poses(*(rows[begin:end] for rows in self._rows))
+
+
+def _doubled(rows: Float) -> Float:
+    """With room for as many again, which takes no memory until it is written to."""
+    grown = np.empty((2 * len(rows), *rows.shape[1:]))
+    grown[: len(rows)] = rows
+    return grown
 
 
 def _latest_drive(keyframes: Trajectory) -> tuple[Float, Float]:

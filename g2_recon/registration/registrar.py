@@ -17,7 +17,7 @@ from g2_recon.config import RegistrationConfig
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
-from g2_recon.geometry.voxels import VoxelFilter
+from g2_recon.geometry.voxels import VoxelCounts, VoxelFilter, sided_voxel_numbers
 from g2_recon.registration.corrected_trajectory import CorrectedTrajectory, Poses
 from g2_recon.registration.placing import place_beams
 from g2_recon.registration.registered_cloud import RegisteredCloud
@@ -30,15 +30,23 @@ _POSES_KEPT_S = 2.0
 _MOST_BEAMS = 3000
 # Of so many latest scans the stamps are known, to tell when one comes again.
 _STAMPS_KEPT = 10_000
+# What a scan sees is known where pieces before the latest ones have points in the cube with this edge, m, seen from the
+# same side. The latest ones do not count: a robot that turns in a room on its first visit sees much of it twice.
+_KNOWN_CUBE_M, _LATEST_PIECES = 0.2, 30
 # A robot that has moved less than this stands, m and rad: the localizer is surer than that.
 _STANDING_M, _STANDING_RAD = 0.02, 0.01
 
 
 @dataclass(slots=True)
 class _Piece:
-    """Scans in a row that are placed anew together."""
+    """Scans in a row that are placed anew together.
+
+    cubes: numbers of those with a point; once the piece is `settled`, they are known.
+    """
 
     scans: list[Scan] = field(default_factory=list)
+    cubes: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    settled: bool = False
     beams: int = 0
     first: float = np.inf
     last: float = -np.inf
@@ -52,8 +60,9 @@ class Registrar:
 
     With `keep_scans` the cloud follows the localizer: `follow` tells where its keyframes are now, and `renew` hands out
     anew, piece by piece, what has moved. A piece is the scans between two calls of `follow`, or fewer. It takes memory
-    for each scan, up to `kept_scans`, and 64 bytes for each pose. While the robot stands, `standing_scans` are enough;
-    others are not handed out, and counted as `redundant`.
+    for each scan, up to `kept_scans`, and 64 bytes for each pose. While the robot stands, `standing_scans` are enough,
+    and of what it sees again, scans of which a share of `new_points` lies where there was nothing; others are not
+    handed out, and counted as `redundant`.
     """
 
     def __init__(self, config: RegistrationConfig, T_base_laser: ArrayLike, *, keep_scans: bool = False) -> None:
@@ -81,6 +90,8 @@ class Registrar:
         self._filter = self._new_filter()
         self._to_renew: dict[int, None] = {}
         self._kept = 0
+        self._known = VoxelCounts()
+        self._unsettled: list[int] = []
         self.released = 0
         # Where the robot came to stand, as position and rotation, and how many scans there are from there.
         self._standing: tuple[Float, Rotation, int] | None = None
@@ -178,7 +189,9 @@ class Registrar:
         piece.revision += 1
         poses = self._trajectory.between(piece.first, piece.last)
         clouds = [placed for scan in piece.scans if isinstance(placed := self._place(scan, poses), Cloud)]
-        cloud = self._thinned(concatenate(clouds), self._new_filter())
+        placed_anew = concatenate(clouds)
+        self._see(piece, np.unique(sided_voxel_numbers(placed_anew, _KNOWN_CUBE_M)))
+        cloud = self._thinned(placed_anew, self._new_filter())
         return RegisteredCloud(max(scan.stamp for scan in piece.scans), cloud, number, piece.revision)
 
     def _mark_moved(self) -> None:
@@ -222,10 +235,14 @@ class Registrar:
         if not isinstance(placed, Cloud):
             self._drops[placed] += 1
             return
-        if self._keep_scans and self._stands(poses):
-            self.redundant += 1
-            return
-        number = self._keep(scan, first, last) if self._keep_scans else self._open
+        number = self._open
+        if self._keep_scans:
+            cubes = sided_voxel_numbers(placed, _KNOWN_CUBE_M)
+            new = np.count_nonzero(self._known.of(cubes) == 0)
+            if self._stands(poses) or new < self._config.new_points * len(cubes):
+                self.redundant += 1
+                return
+            number = self._keep(scan, first, last, cubes)
         self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), number))
 
     def _stands(self, poses: Poses) -> bool:
@@ -251,15 +268,19 @@ class Registrar:
         points, sensor, known = place_beams(in_laser, times, *poses, self._T_base_laser, self._config.max_gap)
         return Cloud(points, sensor) if known.all() else f"no pose within {self._config.max_gap:g} s"
 
-    def _keep(self, scan: Scan, first: float, last: float) -> int:
+    def _keep(self, scan: Scan, first: float, last: float, cubes: NDArray[np.int64]) -> int:
         """Add a scan to the piece that is open, whose number this is; the oldest are released if there are too many."""
         if self._open in self._pieces and self._pieces[self._open].beams + len(scan.ranges) > _MOST_BEAMS:
             self._begin_piece()
         taken_by = self._open
-        piece = self._pieces.setdefault(taken_by, _Piece())
+        if taken_by not in self._pieces:
+            self._pieces[taken_by] = _Piece()
+            self._settle(taken_by)
+        piece = self._pieces[taken_by]
         piece.scans.append(scan)
         piece.beams += len(scan.ranges)
         piece.first, piece.last = min(piece.first, first), max(piece.last, last)
+        self._see(piece, np.union1d(piece.cubes, cubes))
         self._kept += 1
         while self._kept > self._config.kept_scans:
             number = next(iter(self._pieces))
@@ -270,6 +291,20 @@ class Registrar:
             # A piece that is begun anew would replace what is released.
             self._open = max(self._open, number + 1)
         return taken_by
+
+    def _settle(self, new: int) -> None:
+        """A piece was begun; what the oldest of the latest ones sees is known from now on."""
+        self._unsettled.append(new)
+        if len(self._unsettled) > _LATEST_PIECES and (old := self._pieces.get(self._unsettled.pop(0))) is not None:
+            old.settled = True
+            self._known.add(old.cubes)
+
+    def _see(self, piece: _Piece, cubes: NDArray[np.int64]) -> None:
+        """What a piece sees is this now."""
+        if piece.settled:
+            self._known.add(piece.cubes, -1)
+            self._known.add(cubes)
+        piece.cubes = cubes
 
     def _begin_piece(self) -> None:
         if self._open in self._pieces:

@@ -1,8 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
+from collections import Counter
+
 import numpy as np
 
-from g2_recon.geometry.voxels import VoxelFilter, voxel_numbers
+from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.voxels import VoxelCounts, VoxelFilter, sided_voxel_numbers, voxel_numbers
 
 
 def test_points_have_the_number_of_their_cube():
@@ -27,3 +30,36 @@ def test_a_cube_that_had_its_point_gets_no_other_later():
 
 def test_no_points_are_none():
     assert VoxelFilter(1.0).first(np.empty((0, 3))).tolist() == []
+
+
+def test_the_two_sides_of_a_thin_wall_are_told_apart():
+    rng = np.random.default_rng(1)
+    wall = np.column_stack([rng.uniform(0.05, 0.15, 100), rng.uniform(0, 0.2, 100), rng.uniform(0, 0.2, 100)])
+    left, right = (sided_voxel_numbers(Cloud(wall, np.full((100, 3), (x, 3.0, 3.0))), 0.2) for x in (-3.0, 3.0))
+    assert len(np.unique(left)) == len(np.unique(right)) == 1
+    assert left[0] != right[0]
+
+
+def test_where_no_sensor_is_known_the_octant_is_that_of_the_cube():
+    points = np.array([[0.05, 0.05, 0.05], [0.09, 0.01, 0.02], [0.15, 0.05, 0.05], [0.25, 0.05, 0.05]])
+    numbers = sided_voxel_numbers(Cloud(points), 0.2)
+    assert numbers[0] == numbers[1]
+    assert len(np.unique(numbers)) == 3
+
+
+def test_points_are_counted_cube_by_cube_and_taken_away_again():
+    rng = np.random.default_rng(2)
+    counts, twin = VoxelCounts(), Counter()
+    one, other = rng.integers(0, 50, 200), rng.integers(20, 90, 200)
+    for numbers, times in ((one, 1), (other, 1), (one, -1), (one, 1), (other, -1), (one, 1)):
+        counts.add(numbers, times)
+        twin.update({int(number): times * count for number, count in Counter(numbers.tolist()).items()})
+        asked = rng.integers(-5, 60, 100)
+        assert counts.of(asked).tolist() == [twin[number] for number in asked.tolist()]
+
+
+def test_no_points_have_no_counts():
+    counts = VoxelCounts()
+    counts.add(np.empty(0, np.int64))
+    assert counts.of(np.array([3])).tolist() == [0]
+    assert counts.of(np.empty(0, np.int64)).tolist() == []

@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
+import weakref
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,15 @@ def test_a_few_at_a_time_come_to_the_same_grid(grid_of):
     whole.update(WAY)
     assert [parts.update(WAY, most=5) for _ in range(3)] == [False, False, True]
     assert same(parts.grid(), whole.grid())
+
+
+def test_the_poses_of_an_update_are_not_kept(grid_of):
+    # There is one array more each second, of all keyframes so far.
+    grid, poses = grid_of(), WAY.copy()
+    given = weakref.ref(poses)
+    grid.update(poses, most=5)
+    del poses
+    assert given() is None
 
 
 def test_keyframes_that_moved_are_counted_anew(grid_of):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from g2_recon.localization.point_map import PointMap
+from g2_recon.geometry import se2
+from g2_recon.localization.point_map import PointMap, map_of_keyframes
 
 
 def filled(points, spacing=0.1, reach=100.0):
@@ -61,3 +62,18 @@ def test_the_map_keeps_what_it_has_while_it_grows():
     for batch in batches:
         point_map.add(batch)
     assert point_map.points.tolist() == np.concatenate(batches).tolist()
+
+
+def test_the_map_of_keyframes_is_the_first_measured_point_in_each_cell():
+    rng = np.random.default_rng(1)
+    poses, points = rng.uniform(-3, 3, (300, 3)), rng.uniform(-2, 2, (300, 7, 2)).astype(np.float32)
+    kinds = rng.integers(0, 3, (300, 7)).astype(np.uint8)
+    taken, expected = set(), []
+    for pose, seen, kind in zip(poses, points, kinds, strict=True):
+        for point in se2.transform_points(pose, seen[kind > 0].astype(float)):
+            cell = tuple(np.floor(point / 0.3))
+            if cell not in taken:
+                taken.add(cell)
+                expected.append(point)
+    assert map_of_keyframes(poses, points, kinds, 0.3) == pytest.approx(np.array(expected), abs=1e-12)
+    assert map_of_keyframes(poses[:0], points[:0], kinds[:0], 0.3).shape == (0, 2)

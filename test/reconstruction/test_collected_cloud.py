@@ -97,3 +97,88 @@ def test_what_is_left_out_stays_out_while_what_is_there_is_replaced():
     assert collected.add(cloud(5), Piece(7, 1, 1)) == "left out"
     assert collected.add(cloud(6), Piece(7, 2)) == ""
     assert xs(collected) == [10, 6]
+
+
+def wall(count=20, *, x=0.1, seen_from=3.0, seed=0):
+    """Points in one cube of 0.2 m, all seen from one side."""
+    yz = np.random.default_rng(seed).uniform(0, 0.2, (count, 2))
+    points = np.column_stack([np.full(count, x), yz])
+    return Cloud(points, np.full((count, 3), (seen_from, 3.0, 3.0)))
+
+
+def filled(*, pieces=31, enough=5):
+    """A collected cloud in which the first piece counts, as 30 others have come since from elsewhere."""
+    collected = CollectedCloud(0.2, enough)
+    for number in range(pieces):
+        collected.add(wall(x=0.1 + number), Piece(7, number))
+    return collected
+
+
+def test_where_there_are_enough_points_of_earlier_pieces_others_are_not_kept():
+    collected = filled()
+    assert collected.add(wall(seed=1), Piece(7, 50)) == ""
+    assert len(collected) == 31 * 20
+    assert collected.redundant == 20
+
+
+def test_the_latest_pieces_do_not_count():
+    collected = filled(pieces=30)
+    collected.add(wall(x=29.1), Piece(7, 50))
+    assert len(collected) == 31 * 20
+    assert collected.redundant == 0
+
+
+def test_where_there_are_too_few_points_all_of_the_next_piece_are_kept():
+    collected = filled(enough=21)
+    collected.add(wall(), Piece(7, 50))
+    assert len(collected) == 32 * 20
+    assert collected.redundant == 0
+
+
+def test_the_other_side_of_a_thin_wall_is_kept():
+    collected = filled()
+    collected.add(wall(seen_from=-3.0), Piece(7, 50))
+    assert len(collected) == 32 * 20
+
+
+def test_what_is_moved_to_where_nothing_is_comes_back_and_makes_room_where_it_was():
+    collected = filled()
+    collected.add(wall(), Piece(7, 50))
+    collected.add(wall(x=0.1 + 70), Piece(7, 0, 1))
+    collected.add(wall(), Piece(7, 50, 1))
+    assert len(collected) == 32 * 20
+    assert collected.redundant == 0
+    assert np.array_equal(collected.parts()[("", 7), 50].cloud.points, wall().points)
+
+
+def test_a_piece_that_is_moved_a_little_does_not_count_against_itself():
+    collected = filled()
+    collected.add(wall(x=0.11), Piece(7, 0, 1))
+    assert len(collected) == 31 * 20
+    assert collected.redundant == 0
+
+
+def test_messages_without_a_piece_count_each_for_itself():
+    collected = CollectedCloud(0.2, 5)
+    for number in range(100):
+        collected.add(wall(seed=number))
+    assert len(collected) == 30 * 20
+    assert collected.redundant == 70 * 20
+
+
+def test_in_known_rooms_the_cloud_stays_as_large_as_it_is():
+    collected = filled(pieces=60)
+    for number in range(60, 180):
+        collected.add(wall(x=0.1 + number % 30, seed=number), Piece(7, number))
+    assert len(collected) == 60 * 20
+
+
+def test_what_was_forgotten_does_not_count():
+    collected = filled()
+    collected.add(cloud(), Piece(7, ALL_PIECES))
+    collected.add(wall(), Piece(8, 0))
+    assert len(collected) == 20
+    collected.clear()
+    collected.add(wall(), Piece(8, 1))
+    assert len(collected) == 20
+    assert collected.redundant == 0

@@ -345,3 +345,68 @@ def test_with_the_true_trajectory_points_lie_on_the_surfaces():
     error = np.linalg.norm(points - simulation.clean_vertical, axis=1)
     # The laser counts whole millimetres.
     assert error.max() < 0.001
+
+
+def drive_again(stage, passes, *, begin=0, keyframes=(), x=0.0):
+    """Passes through the same 5 m of a tunnel of 1 m radius: 50 scans of 600 beams and a keyframe each."""
+    told = list(keyframes)
+    for number in range(begin, begin + passes):
+        for step in range(50):
+            stamp = 0.1 * (50 * number + step)
+            stage.add_pose(stamp, moving(x + 0.1 * step))
+            if step == 0:
+                told.append((stamp, x, 0.0, 0.0))
+                assert stage.follow(keyframes_at(told))
+            stage.add_scan(scan(stamp, np.ones(600)))
+    return told
+
+
+def keyframes_at(told):
+    stamps, *poses = np.array(told).T
+    return Trajectory.from_se2(stamps, np.column_stack(poses))
+
+
+def test_what_was_seen_again_and_again_is_not_needed_any_more():
+    stage = Registrar(RegistrationConfig(), UP, keep_scans=True)
+    # The latest 30 pieces do not count: each has five scans.
+    told = drive_again(stage, 5)
+    known = stage.kept
+    drive_again(stage, 20, begin=5, keyframes=told)
+    assert stage.kept == len(stage.take()) == known < 250
+    assert stage.redundant == 25 * 50 - known
+    assert stage.drops == {}
+
+
+def test_all_scans_are_handed_out_where_none_has_to_see_anything_new():
+    stage = Registrar(RegistrationConfig(new_points=0.0), UP, keep_scans=True)
+    drive_again(stage, 6)
+    assert stage.kept == 300
+
+
+def test_what_is_new_is_handed_out_beside_what_is_known():
+    stage = Registrar(RegistrationConfig(), UP, keep_scans=True)
+    told = drive_again(stage, 8)
+    known = stage.kept
+    drive_again(stage, 1, begin=8, keyframes=told, x=20.0)
+    assert stage.kept == known + 50
+
+
+def test_a_place_is_not_known_any_more_where_what_was_seen_of_it_is_moved_away():
+    stage = Registrar(RegistrationConfig(), UP, keep_scans=True)
+    told = drive_again(stage, 8)
+    known = stage.kept
+    elsewhere = [(stamp, x, 30.0, yaw) for stamp, x, _, yaw in told]
+    assert stage.follow(keyframes_at(elsewhere))
+    while stage.renew():
+        pass
+    drive_again(stage, 1, begin=8, keyframes=elsewhere)
+    assert stage.kept == known + 50
+
+
+def test_scans_that_are_kept_no_more_need_not_come_again():
+    stage = Registrar(RegistrationConfig(kept_scans=160), UP, keep_scans=True)
+    told = drive_again(stage, 5)
+    known = stage.kept + stage.released
+    drive_again(stage, 5, begin=5, keyframes=told)
+    assert stage.released > 0
+    assert stage.kept + stage.released == known
