@@ -404,6 +404,7 @@ class G2ReconConfig(_Model):
     recording: RecordingConfig = RecordingConfig()
     localization: LocalizationConfig = LocalizationConfig()
     registration: RegistrationConfig = RegistrationConfig()
+    sweeps: SweepConfig = SweepConfig()
     reconstruction: ReconstructionConfig = ReconstructionConfig()
 
 
