@@ -336,9 +336,15 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         return ("stale" if silent and place.session is not None else place.state), place
 
     def _silent_for(self, robot: str, place: Place) -> float:
-        """For how long a robot has told nothing, s; one that makes sweeps tells clouds only."""
-        source = self.inputs.get(f"{robot}/{'cloud' if place.sweeps else 'keyframes'}")
-        return math.inf if source is None else source.silent_for
+        """For how long a robot has told nothing, s.
+
+        One that makes sweeps tells clouds only, and none from one stop to the next: while it offers them it is there.
+        """
+        topic = f"{robot}/{'cloud' if place.sweeps else 'keyframes'}"
+        source = self.inputs.get(topic)
+        if source is None:
+            return math.inf
+        return 0.0 if place.sweeps and self.count_publishers(topic) else source.silent_for
 
     def _reason(self, robot: str, state: str, place: Place) -> str:
         if place.session is None:
