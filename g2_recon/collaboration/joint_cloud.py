@@ -137,6 +137,7 @@ class JointCloud:
         self._new_source = new_source
         self._sources: dict[tuple[str, int], dict[int, _Piece]] = {}
         self._session_of: dict[tuple[str, int], int] = {}
+        self._sessions: dict[str, Mapping[int, tuple[float, float]]] = {}
         self._places: dict[tuple[str, int], _Place] = {}
         self._to_send: dict[int, tuple[tuple[str, int], _Piece]] = {}
         self._gone: list[int] = []
@@ -170,6 +171,8 @@ class JointCloud:
         session = self._session_of.get((robot, piece.source))
         if session is not None:
             self._mark(robot, session, known)
+        else:
+            self._bind(robot, piece.source, [known])
         return ""
 
     def bind(self, robot: str, sessions: Mapping[int, tuple[float, float]]) -> None:
@@ -177,18 +180,21 @@ class JointCloud:
 
         All pieces of a source belong to the session during which one of them was seen.
         """
+        self._sessions[robot] = sessions
         for (owner, source), pieces in self._sources.items():
-            if owner != robot or (owner, source) in self._session_of:
-                continue
-            during = [
-                number
-                for number, (start, end) in sessions.items()
-                if any(start <= piece.stamp <= end for piece in pieces.values())
-            ]
-            if during:
-                session = self._session_of[owner, source] = max(during, key=lambda number: sessions[number][0])
-                for piece in pieces.values():
-                    self._mark(robot, session, piece)
+            if owner == robot and (owner, source) not in self._session_of:
+                self._bind(robot, source, pieces.values())
+
+    def _bind(self, robot: str, source: int, pieces: Collection[_Piece]) -> None:
+        """Find the session of a source by the stamps of some of its pieces."""
+        sessions = self._sessions.get(robot, {})
+        during = [
+            number for number, (start, end) in sessions.items() if any(start <= piece.stamp <= end for piece in pieces)
+        ]
+        if during:
+            session = self._session_of[robot, source] = max(during, key=lambda number: sessions[number][0])
+            for piece in self._sources[robot, source].values():
+                self._mark(robot, session, piece)
 
     def place(self, robot: str, session: int, correction: Correction | None) -> None:
         """Tell where a session lies in the world; None: that is not known, or not any more."""
