@@ -167,7 +167,8 @@ class LiveMerger:
     def take_part(self, robot: str, part: SessionPart) -> GrowingSession:
         """Take in what a robot tells of its session; that session. Raises InputError where it is unusable."""
         sessions = self._robots.setdefault(robot, _Robot()).sessions
-        growing = sessions.get(part.number) or GrowingSession(part.number)
+        # One without keyframes is there all the same: it knows what it lacks.
+        growing = sessions[part.number] if part.number in sessions else GrowingSession(part.number)
         before = growing.poses()
         growing.take(part)
         sessions[part.number] = growing
