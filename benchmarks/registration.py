@@ -36,6 +36,7 @@ from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.recording.slam6d import from_left_handed
 from g2_recon.recording.sweeps import read_sweep
+from g2_recon.registration.horn import absolute_orientation
 from g2_recon.registration.prepared_sweep import PreparedSweep, prepare
 from g2_recon.registration.sweep_matching import METHODS, Match, match
 from g2_recon.registration.sweep_merger import SweepMerger
@@ -55,14 +56,21 @@ PCL_STARTS, PCL_START_M, PCL_START_DEG = 20, 1.0, 30.0
 RIGHT_M, RIGHT_DEG = 0.02, 0.3
 PCL_RIGHT_STARTS_M = 0.03
 
+# The methods that recorded sweeps are laid on each other by.
+RECORDED: dict[str, dict[str, Any]] = {name: {"method": name} for name in METHODS} | {
+    "paper, all points": {"method": "paper", "all_points": True}
+}
 SLAM6D_SETTINGS = {"min_range": 0.5, "min_inliers": 0.5}
 SLAM6D_OFF = (0.3, 8.0)
+# As slam6D has it where nothing else is said: gate in metres, and iterations; a sweep is matched with all before it.
+SLAM6D_GATE_M, SLAM6D_STEPS = 0.25, 50
 # Of two sweeps as they lie on each other: pairs that count, and a distance that the farthest of them have at most.
 FIT_NEAR_M, FIT_PARALLEL, FIT_MOST_M = 0.3, 0.97, 0.05
 # Patches of walls: cubes of this edge with so many points, at most so thin and at least so wide, standard deviations;
 # and how far apart two of the same wall may lie. Of pairs of points, the nearer part.
 PATCH_M, PATCH_POINTS, PATCH_THIN_M, PATCH_WIDE_M = 0.5, 30, 0.02, 0.08
 WALL_M, WALL_DEG = 0.15, 10.0
+LEVEL = 0.9
 NEARER_PART = 0.7
 
 RING_ODOMETRY = (0.1, 3.0)
@@ -76,18 +84,25 @@ of the seeds; ms of processor time for one sweep: thinning, normals, match and j
 of the seeds; of gicp, the least of {TRIES} tries for each."""
 RECORDINGS_NOTE = f"""\
 pcl_room: two sweeps of a room, from the robot's odometry, which is 0.7 m off. Its truth is that of multi-start ICP on
-walls with a level robot: position and heading only. Starts: {PCL_STARTS} guesses at random within {PCL_START_M:g} m and
-{PCL_START_DEG:g} deg of it; right: believed, within {100 * PCL_RIGHT_STARTS_M:.0f} cm and {RIGHT_DEG} deg of heading.
+walls: position and heading only; beside it the judges take roll and pitch of the method. Starts: {PCL_STARTS} guesses
+at random within {PCL_START_M:g} m and {PCL_START_DEG:g} deg of it; right: believed, within
+{100 * PCL_RIGHT_STARTS_M:.0f} cm and {RIGHT_DEG} deg of heading.
 3dtk: three sweeps of a pitching laser in a corridor, beside what slam6D made of them (.frames), from its odometry
 (.pose), and from a guess 30 cm and 8 deg off that. Walls and floors of these sweeps do not fit each other rigidly, no
 method has more than two thirds within 6 cm: min_inliers is {SLAM6D_SETTINGS["min_inliers"]}, and with the default all
-are refused. Where a method ends depends on how it weights near and far points, by some centimetres; point-to-point ICP
-of all points with a gate of 25 cm, as slam6D does it, ends on .frames of the first pair.
+are refused. Where a method ends depends on how it weights near and far points, by some centimetres. all points: with
+all_points, as slam6D has it. slam6D's end: where slam6D has a sweep after {SLAM6D_STEPS} iterations, see below.
 apart, mm: RMS distance of the points of one sweep from the surfaces of the other, none counted as more than
 {100 * FIT_MOST_M:.0f} cm, beside what it is where the truth has them: which of the two fits the sweeps better. Methods
-minimize something like it, so there are two more judges, of the points as measured. walls apart: between the planes of
-the same wall in both sweeps, fitted to cubes of {PATCH_M:g} m, medians. points apart: RMS distance from the points of
+minimize something like it, so there are more judges, of the points as measured. walls apart: between the planes of
+the same wall in both sweeps, fitted to cubes of {PATCH_M:g} m, medians. level apart: how much higher one sweep has the
+floors and ceilings of the other, of the same cubes, median. points apart: RMS distance from the points of
 one sweep to the nearest of the other, of the nearer {NEARER_PART:.0%}."""
+FRAMES_NOTE = f"""\
+.frames are lines of slam6D's ICP with the options it has by itself: point to point, all points, pairs nearer than
+{100 * SLAM6D_GATE_M:.0f} cm, against all sweeps before, from .pose moved as the sweep before was. That ICP, done anew,
+beside its lines: of sweep 1 there are the first iteration and the end; of sweep 2 the first iteration only, which is
+where odometry has it."""
 RING_NOTE = """\
 12 stops in a corridor round a block of four rooms, 4.6 m apart, odometry 10 cm and 3 deg off a step. Error of the last
 sweep as seen from the first, and the largest of all sweeps, three seeds."""
@@ -168,18 +183,19 @@ def recordings_table(bench: Bench) -> Table | None:
     """The recorded sweeps."""
     if bench.data is None:
         return None
-    starts = list(itertools.product(METHODS, (None, *bench.some(PCL_STARTS))))
+    starts = list(itertools.product(RECORDED, (None, *bench.some(PCL_STARTS))))
     found = bench.each(_pcl_room, starts, table="recordings")
     rooms = []
-    for method in METHODS:
+    for method in RECORDED:
         row, *right = (of for (name, _), of in zip(starts, found, strict=True) if name == method)
         rooms.append({"method": method} | row | {"right of the starts": f"{sum(right)} of {len(right)}"})
-    pairs = list(itertools.product(METHODS, ((0, 1), (1, 2))))
+    pairs = list(itertools.product(RECORDED, ((0, 1), (1, 2))))
     corridor = [
         {"method": method, "sweeps": f"{i}, {j}"} | row
         for (method, (i, j)), row in zip(pairs, bench.each(_slam6d, pairs, table="recordings"), strict=True)
     ]
-    return Table("Recorded sweeps", RECORDINGS_NOTE, {"pcl_room": rooms, "3dtk": corridor})
+    sections = {"pcl_room": rooms, "3dtk": corridor, "What .frames of 3dtk are": frames_rows(bench.data)}
+    return Table("Recorded sweeps", f"{RECORDINGS_NOTE}\n\n{FRAMES_NOTE}", sections)
 
 
 def _pcl_room(bench: Bench, method: str, start: int | None) -> Row | bool:
@@ -187,7 +203,7 @@ def _pcl_room(bench: Bench, method: str, start: int | None) -> Row | bool:
     assert bench.data is not None
     clouds = [read_sweep(bench.data / f"sweeps/pcl_room/room_scan{number}.pcd").cloud for number in (1, 2)]
     truth = se3.from_xyz_rpy(PCL_TRUTH)
-    config = SweepConfig(method=method)
+    config = SweepConfig(**RECORDED[method])
     fixed, moving = (prepare(cloud, config) for cloud in clouds)
     if start is not None:
         found = match(moving, fixed, pcl_starts(truth)[start], config)
@@ -202,7 +218,14 @@ def _pcl_room(bench: Bench, method: str, start: int | None) -> Row | bool:
         "overlap": f"{found.overlap:.0%}",
         "inliers": f"{found.inlier_share:.0%}",
         "residual, mm": f"{1000 * found.residual:.0f}",
-    } | judged(moving, fixed, found.T, truth, "truth")
+    } | judged(moving, fixed, found.T, with_tilt_of(found.T, truth), "truth")
+
+
+def with_tilt_of(T: Float, truth: Float) -> Float:
+    """The position and heading of one place (4, 4) with roll and pitch of another."""
+    result = se3.from_xyz_rpy([*truth[:3, 3], 0.0, 0.0, heading(truth) - heading(T)])
+    result[:3, :3] = result[:3, :3] @ T[:3, :3]
+    return result
 
 
 def pcl_starts(truth: Float) -> list[Float]:
@@ -250,20 +273,26 @@ def patches(points: Float) -> Patches:
     return Patches(centers[flat], axes[flat, :, 0])
 
 
-def walls_apart(moving: Patches, fixed: Patches, places: Sequence[Float]) -> list[tuple[float, float]]:
-    """For each place (4, 4), mm and deg between the same walls in both sweeps: medians over their patches.
+def planes_apart(moving: Patches, fixed: Patches, places: Sequence[Float]) -> list[tuple[float, float, float]]:
+    """For each place (4, 4): mm and deg between the same planes in both sweeps, and mm that level ones are higher.
 
-    A patch of one sweep is of the wall that the patch of the other nearest to it is on, in all of the places.
+    Medians over the patches. A patch of one sweep is of the plane that the patch of the other nearest to it is on, in
+    all of the places.
     """
     tree = cKDTree(fixed.centers)
     placed = [se3.transform_points(T, moving.centers) for T in places]
     turned = [moving.normals @ T[:3, :3].T for T in places]
     near = tree.query(np.mean(placed, axis=0))[1]
-    off = [np.abs(np.einsum("pi,pi->p", fixed.normals[near], centers - fixed.centers[near])) for centers in placed]
-    angles = [np.arccos(np.minimum(np.abs(np.einsum("pi,pi->p", fixed.normals[near], n)), 1.0)) for n in turned]
+    upward = fixed.normals[near] * np.copysign(1.0, fixed.normals[near, 2:])
+    off = [np.einsum("pi,pi->p", upward, centers - fixed.centers[near]) for centers in placed]
+    angles = [np.arccos(np.minimum(np.abs(np.einsum("pi,pi->p", upward, n)), 1.0)) for n in turned]
     beside = np.linalg.norm(np.mean(placed, axis=0) - fixed.centers[near], axis=1) < PATCH_M
-    same = beside & (np.max(off, axis=0) < WALL_M) & (np.max(angles, axis=0) < math.radians(WALL_DEG))
-    return [(1000 * np.median(o[same]), math.degrees(np.median(a[same]))) for o, a in zip(off, angles, strict=True)]
+    same = beside & (np.max(np.abs(off), axis=0) < WALL_M) & (np.max(angles, axis=0) < math.radians(WALL_DEG))
+    level = same & (upward[:, 2] > LEVEL)
+    return [
+        (1000 * np.median(np.abs(o[same])), math.degrees(np.median(a[same])), 1000 * np.median(o[level]))
+        for o, a in zip(off, angles, strict=True)
+    ]
 
 
 def points_apart(moving: Float, fixed: Float, T: Float) -> float:
@@ -274,48 +303,113 @@ def points_apart(moving: Float, fixed: Float, T: Float) -> float:
 
 def judged(moving: PreparedSweep, fixed: PreparedSweep, own: Float, truth: Float, name: str) -> Row:
     """Columns that say which of two places fits two sweeps better, by what no method of ours minimizes."""
-    walls = walls_apart(patches(moving.measured), patches(fixed.measured), (own, truth))
+    planes = planes_apart(patches(moving.measured), patches(fixed.measured), (own, truth))
     points = [points_apart(moving.measured, fixed.measured, T) for T in (own, truth)]
     surfaces = [1000 * apart(moving, fixed, T) for T in (own, truth)]
     return {
         "apart, mm": f"{surfaces[0]:.1f} ({name} {surfaces[1]:.1f})",
-        "walls apart, mm": f"{walls[0][0]:.1f} ({name} {walls[1][0]:.1f})",
-        "walls apart, deg": f"{walls[0][1]:.2f} ({name} {walls[1][1]:.2f})",
+        "walls apart, mm": f"{planes[0][0]:.1f} ({name} {planes[1][0]:.1f})",
+        "walls apart, deg": f"{planes[0][1]:.2f} ({name} {planes[1][1]:.2f})",
+        "level apart, mm": f"{planes[0][2]:.1f} ({name} {planes[1][2]:.1f})",
         "points apart, mm": f"{points[0]:.1f} ({name} {points[1]:.1f})",
     }
 
 
 def planar_errors(T: Float, truth: Float) -> tuple[float, float]:
     """Metres between two positions (4, 4) and degrees between their headings."""
-    turn = math.atan2(T[1, 0], T[0, 0]) - math.atan2(truth[1, 0], truth[0, 0])
+    turn = heading(T) - heading(truth)
     return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), math.degrees(abs(math.remainder(turn, 2 * math.pi)))
+
+
+def heading(T: Float) -> float:
+    """In radians."""
+    return math.atan2(T[1, 0], T[0, 0])
 
 
 def _slam6d(bench: Bench, method: str, pair: tuple[int, int]) -> Row:
     """The columns of a method and a pair of sweeps."""
     assert bench.data is not None
-    files = [bench.data / f"sweeps/3dtk/scan00{number}.3d.gz" for number in pair]
-    sweeps = [read_sweep(file) for file in files]
-    frames = [last_frame(file.with_name(file.name.replace(".3d.gz", ".frames"))) for file in files]
-    config = SweepConfig(method=method, **SLAM6D_SETTINGS)
-    fixed, moving = (prepare(entry.cloud, config) for entry in sweeps)
-    odometry = se3.inverse(sweeps[0].T_map_file) @ sweeps[1].T_map_file  # type: ignore[arg-type]
-    truth = se3.inverse(frames[0]) @ frames[1]
+    sweeps = Slam6DSweeps.read(bench.data)
+    config = SweepConfig(**RECORDED[method], **SLAM6D_SETTINGS)
+    fixed, moving = (prepare(sweeps.points[number], config) for number in pair)
+    odometry = se3.inverse(sweeps.poses[pair[0]]) @ sweeps.poses[pair[1]]
+    from_frames = se3.inverse(sweeps.last_frame(pair[0]))
+    truth = from_frames @ sweeps.last_frame(pair[1])
     row: Row = {}
     off = odometry @ off_by(np.random.default_rng(0), *SLAM6D_OFF)
     found = [match(moving, fixed, start, config) for start in (odometry, off)]
     for name, each in zip(("from .pose", "from 30 cm, 8 deg off"), found, strict=True):
-        metres, degrees = errors(each.T, truth)
-        row[name] = f"{100 * metres:.1f} cm, {degrees:.2f} deg ({each.quality})"
-    metres, degrees = errors(odometry, truth)
-    row["odometry itself"] = f"{100 * metres:.1f} cm, {degrees:.2f} deg"
+        row[name] = f"{_off(each.T, truth)} ({each.quality})"
+    row["from slam6D's end"] = _off(found[0].T, from_frames @ sweeps.iterations(pair[1])[-1])
+    row["odometry itself"] = _off(odometry, truth)
     return row | judged(moving, fixed, found[0].T, truth, ".frames")
 
 
-def last_frame(file: Path) -> Float:
-    """T_map_laser (4, 4) of the last line of a .frames file."""
+def _off(T: Float, truth: Float) -> str:
+    metres, degrees = errors(T, truth)
+    return f"{100 * metres:.1f} cm, {degrees:.2f} deg"
+
+
+@dataclass(frozen=True, slots=True)
+class Slam6DSweeps:
+    """The sweeps of 3DTK: points (N, 3) m in their frames, T_map_laser (4, 4) by odometry, and what slam6D wrote."""
+
+    points: list[Float]
+    poses: list[Float]
+    frames: list[list[Float]]
+
+    @classmethod
+    def read(cls, data: Path) -> Slam6DSweeps:
+        """From the folder with recorded sweeps and scans."""
+        files = [data / f"sweeps/3dtk/scan00{number}.3d.gz" for number in range(3)]
+        sweeps = [read_sweep(file) for file in files]
+        frames = [read_frames(file.with_name(file.name.replace(".3d.gz", ".frames"))) for file in files]
+        poses = [sweep.T_map_file for sweep in sweeps if sweep.T_map_file is not None]
+        return cls([sweep.cloud.points for sweep in sweeps], poses, frames)
+
+    def last_frame(self, number: int) -> Float:
+        """T_map_laser (4, 4) of a sweep in the last line that slam6D wrote."""
+        return self.frames[number][-1]
+
+    def iterations(self, number: int) -> list[Float]:
+        """T_map_laser (4, 4) of a sweep after each iteration of slam6D's ICP, with those before where it has them."""
+        before = range(number)
+        surface = np.concatenate([se3.transform_points(self.last_frame(k), self.points[k]) for k in before])
+        tree = cKDTree(surface)
+        T = self.last_frame(number - 1) @ se3.inverse(self.poses[number - 1]) @ self.poses[number]
+        result = []
+        for _ in range(SLAM6D_STEPS):
+            placed = se3.transform_points(T, self.points[number])
+            distances, rows = tree.query(placed, distance_upper_bound=SLAM6D_GATE_M)
+            paired = np.isfinite(distances)
+            T = absolute_orientation(surface[rows[paired]], placed[paired]) @ T
+            result.append(T)
+        return result
+
+
+def frames_rows(data: Path) -> list[Row]:
+    """What the lines of .frames are, by slam6D's ICP done anew."""
+    sweeps = Slam6DSweeps.read(data)
+    rows = []
+    for number, iteration, line in ((1, 1, 0), (1, SLAM6D_STEPS, -1), (2, 1, -1), (2, SLAM6D_STEPS, -1)):
+        frames = sweeps.frames[number]
+        metres, degrees = errors(sweeps.iterations(number)[iteration - 1], frames[line])
+        rows.append(
+            {
+                "sweep": number,
+                "iteration": iteration,
+                "beside the line": "first" if line == 0 else "last",
+                "apart, mm": f"{1000 * metres:.2f}",
+                "apart, deg": f"{degrees:.4f}",
+            }
+        )
+    return rows
+
+
+def read_frames(file: Path) -> list[Float]:
+    """T_map_laser (4, 4) of each line of a .frames file."""
     lines = [line for line in file.read_text().splitlines() if line.strip()]
-    return from_left_handed(np.array(lines[-1].split()[:16], float).reshape(4, 4).T)
+    return [from_left_handed(np.array(line.split()[:16], float).reshape(4, 4).T) for line in lines]
 
 
 def ring_table(bench: Bench) -> Table:

@@ -198,6 +198,10 @@ class SweepConfig(_Model):
     voxel: float = _setting(
         0.14, "sweeps are matched with one point a cube of this edge; the cloud keeps all", "m", ge=0.01, le=2
     )
+    all_points: bool = _setting(
+        False,
+        "method paper: at last match all points of a sweep, as slam6D does, not one a voxel: what is near counts more",
+    )
     first_gate: float = _setting(1.5, "farthest points that are paired at first", "m", ge=0.1, le=20)
     last_gate: float = _setting(0.1, "farthest points that are paired at last", "m", ge=0.02, le=5)
     search: float = _setting(
@@ -407,6 +411,7 @@ class G2ReconConfig(_Model):
     recording: RecordingConfig = RecordingConfig()
     localization: LocalizationConfig = LocalizationConfig()
     registration: RegistrationConfig = RegistrationConfig()
+    sweeps: SweepConfig = SweepConfig()
     reconstruction: ReconstructionConfig = ReconstructionConfig()
 
 

@@ -100,7 +100,7 @@ def run(recordings: Mapping[str, Recording], settings: G2ReconConfig, *, progres
     merged, robots = _driven(driven, settings, progress) if driven else (None, {})
     # In the order of the map, which does not depend on the order in which they were given.
     clouds = [] if merged is None else [robots[name].registration.cloud for name in merged.rows]
-    sweeps = _swept(swept, concatenate(clouds) if clouds else None, progress)
+    sweeps = _swept(swept, concatenate(clouds) if clouds else None, settings.sweeps, progress)
     cloud = concatenate([*clouds, *(one.cloud for one in sweeps.values() if one.in_map)])
     reconstruction = pipeline.reconstruct_surface(cloud, settings.reconstruction, progress=progress)
     grid = None if merged is None else grid_of(merged, settings.localization, progress=progress)
@@ -133,14 +133,16 @@ def _driven(
     return merged, robots
 
 
-def _swept(recordings: Mapping[str, Recording], world: Cloud | None, progress: Progress) -> dict[str, SweepRun]:
+def _swept(
+    recordings: Mapping[str, Recording], world: Cloud | None, settings: SweepConfig, progress: Progress
+) -> dict[str, SweepRun]:
     """What came of robots that make sweeps, the first that began first, in a world of what others saw."""
     made = {}
     for name in sorted(recordings, key=lambda name: (recordings[name].scans_tilt[0].stamp, name)):
-        sweeps, guesses, drops = pipeline.assemble(recordings[name], SweepConfig())
-        made[name] = pipeline.merge(sweeps, SweepConfig(), guesses=guesses, progress=progress), drops
+        sweeps, guesses, drops = pipeline.assemble(recordings[name], settings)
+        made[name] = pipeline.merge(sweeps, settings, guesses=guesses, progress=progress), drops
     clouds = {name: tuple(_sweep_by_sweep(merged.cloud)) for name, (merged, _) in made.items()}
-    places = place_sweeps(SweepWork(world, clouds, {}, frozenset()), progress=progress)
+    places = place_sweeps(SweepWork(world, clouds, {}, frozenset()), settings, progress=progress)
     result = {}
     for name, (merged, drops) in made.items():
         place = places[name]

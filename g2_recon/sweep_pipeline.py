@@ -28,7 +28,8 @@ def place_sweeps(
 
     Who has found no place may find one when others are in.
     """
-    config = settings or SweepConfig()
+    # Clouds are in metres, whatever the sweeps were in.
+    config = (settings or SweepConfig()).model_copy(update={"scale": 1.0})
     places: dict[str, SweepPlace] = {}
     world = [] if work.world is None else [_thinned(work.world)]
     waiting = dict(work.robots)

@@ -80,15 +80,25 @@ def drive():
     return driven
 
 
-@pytest.fixture(scope="session")
-def sessions():
-    """Three robots on one floor, each in a map that begins where it did, one after the other in time."""
+def sessions_of(ways):
     found = {}
-    for number, (name, corners) in enumerate(WAYS.items()):
+    for number, (name, corners) in enumerate(ways.items()):
         session = driven(FLOOR, corners, seed=number)
         start = se2.inverse(session.poses[0])
         found[name] = replace(session, poses=se2.compose(start, session.poses), stamps=session.stamps + 1000.0 * number)
     return found
+
+
+@pytest.fixture(scope="session")
+def sessions():
+    """Three robots on one floor, each in a map that begins where it did, one after the other in time."""
+    return sessions_of(WAYS)
+
+
+@pytest.fixture(scope="session")
+def short_sessions():
+    """The same for half of their ways."""
+    return sessions_of({name: corners[:5] for name, corners in WAYS.items()})
 
 
 def parts_of(session, *, size=10):

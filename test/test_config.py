@@ -4,10 +4,10 @@ import pytest
 import yaml
 
 from g2_recon import config
-from g2_recon.config import G2ReconConfig, LocalizationConfig, ReconstructionConfig, SimulationConfig, SweepConfig
+from g2_recon.config import G2ReconConfig, LocalizationConfig, ReconstructionConfig, SimulationConfig
 from g2_recon.errors import ConfigError
 
-STAGES = [type(getattr(G2ReconConfig(), name)) for name in G2ReconConfig.model_fields] + [SimulationConfig, SweepConfig]
+STAGES = [type(getattr(G2ReconConfig(), name)) for name in G2ReconConfig.model_fields] + [SimulationConfig]
 EVERY_SETTING = [
     pytest.param(setting, id=f"{model.__name__}.{setting.name}")
     for model in STAGES

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from g2_recon import joint_pipeline
 from g2_recon.cli import main
-from g2_recon.config import G2ReconConfig, LocalizationConfig, SimulationConfig
+from g2_recon.config import G2ReconConfig, LocalizationConfig, SimulationConfig, SweepConfig
 from g2_recon.errors import InputError
 from g2_recon.recording.bag_writing import write_bag
 from g2_recon.recording.clouds import read_cloud
@@ -106,3 +106,10 @@ def test_sweeps_alone_are_a_map_too(sweeping, tmp_path):
     assert result.swept["s"].in_map
     joint_pipeline.write_run(result, settings, tmp_path, summary=joint_pipeline.summarize(result))
     assert (tmp_path / "mesh.ply").exists()
+
+
+def test_sweeps_are_made_with_the_settings_of_the_run(sweeping):
+    settings = G2ReconConfig(sweeps=SweepConfig(min_range=1.0, max_range=4.0))
+    cloud = joint_pipeline.run({"s": sweeping}, settings).swept["s"].cloud
+    ranges = np.linalg.norm(cloud.points - cloud.sensor, axis=1)
+    assert ranges.min() > 1.0 - 1e-6 and ranges.max() < 4.0 + 1e-6  # m

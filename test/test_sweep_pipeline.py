@@ -55,7 +55,7 @@ def told(live, clouds, *, stamp=100.0):
 
 def brought_up_to_date(live):
     while (work := live.sweep_work()) is not None:
-        live.take_placed(place_sweeps(work))
+        live.take_placed(place_sweeps(work.copied()))
     return live
 
 
@@ -81,6 +81,19 @@ def test_robots_that_make_sweeps_come_into_one_world(clouds):
     assert off(live, clouds).max() < 0.05 + 15 * np.radians(0.5)
     assert sum(len(cloud) for _, cloud, _ in live.cloud.sent()) == live.cloud.points
     assert live.sweep_work() is None
+
+
+def test_what_there_is_to_place_refers_to_points_that_are_stored_and_stays_as_it_was(clouds):
+    live = told(merger(), clouds)
+    work, again = live.sweep_work(), told(merger(), clouds).sweep_work()
+    stored = [part for pieces in live.cloud._sources.values() for piece in pieces.values() for part in piece.parts]
+    for pieces in work.robots.values():
+        assert all(any(part is one for one in stored) for piece in pieces for part in piece.parts)
+    live.take_cloud("anna", 300.0, clouds["anna"][0], Piece(7, 0, 1))
+    live.take_cloud("bert", 301.0, clouds["bert"][0], Piece(8, 0))
+    for key, copied in again.copied().robots.items():
+        for one, other in zip(work.copied().robots[key], copied, strict=True):
+            assert np.array_equal(one.points, other.points)
 
 
 def test_a_robot_that_is_elsewhere_is_left_out_until_it_comes_by(room, clouds):

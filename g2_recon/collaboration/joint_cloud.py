@@ -9,7 +9,7 @@ other's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -88,6 +88,22 @@ class _Piece:
         return self.judged[1]
 
 
+@dataclass(frozen=True, slots=True)
+class StoredPiece:
+    """Points of a piece as they are stored, (N, 3) or with sensor (N, 6), none of them copied.
+
+    T: (3,) where they come to lie in the plane, after lift (4, 4).
+    """
+
+    parts: tuple[NDArray[np.float32], ...]
+    T: Float = field(default_factory=lambda: np.zeros(3))
+    lift: Float = field(default_factory=lambda: np.eye(4))
+
+    def cloud(self) -> Cloud:
+        """The points where they lie."""
+        return _in_world(self.T, np.concatenate(self.parts), self.lift)
+
+
 @dataclass(slots=True)
 class _Place:
     """What of a session is in the world: its source there, how many pieces it has, and where it lies."""
@@ -105,10 +121,9 @@ class Sweeps:
     version: tuple[int, int]
     pieces: tuple[_Piece, ...]
 
-    def clouds(self) -> tuple[Cloud, ...]:
-        """Each sweep in the map of the robot, with where the laser was."""
-        joined = (np.concatenate(piece.parts).astype(float) for piece in self.pieces)
-        return tuple(Cloud(columns[:, :3], columns[:, 3:]) for columns in joined)
+    def stored(self) -> tuple[StoredPiece, ...]:
+        """Each sweep in the map of the robot, with where the laser was, as it is now."""
+        return tuple(StoredPiece(tuple(piece.parts)) for piece in self.pieces)
 
 
 class JointCloud:
@@ -122,6 +137,7 @@ class JointCloud:
         self._new_source = new_source
         self._sources: dict[tuple[str, int], dict[int, _Piece]] = {}
         self._session_of: dict[tuple[str, int], int] = {}
+        self._sessions: dict[str, Mapping[int, tuple[float, float]]] = {}
         self._places: dict[tuple[str, int], _Place] = {}
         self._to_send: dict[int, tuple[tuple[str, int], _Piece]] = {}
         self._gone: list[int] = []
@@ -155,6 +171,8 @@ class JointCloud:
         session = self._session_of.get((robot, piece.source))
         if session is not None:
             self._mark(robot, session, known)
+        else:
+            self._bind(robot, piece.source, [known])
         return ""
 
     def bind(self, robot: str, sessions: Mapping[int, tuple[float, float]]) -> None:
@@ -162,18 +180,21 @@ class JointCloud:
 
         All pieces of a source belong to the session during which one of them was seen.
         """
+        self._sessions[robot] = sessions
         for (owner, source), pieces in self._sources.items():
-            if owner != robot or (owner, source) in self._session_of:
-                continue
-            during = [
-                number
-                for number, (start, end) in sessions.items()
-                if any(start <= piece.stamp <= end for piece in pieces.values())
-            ]
-            if during:
-                session = self._session_of[owner, source] = max(during, key=lambda number: sessions[number][0])
-                for piece in pieces.values():
-                    self._mark(robot, session, piece)
+            if owner == robot and (owner, source) not in self._session_of:
+                self._bind(robot, source, pieces.values())
+
+    def _bind(self, robot: str, source: int, pieces: Collection[_Piece]) -> None:
+        """Find the session of a source by the stamps of some of its pieces."""
+        sessions = self._sessions.get(robot, {})
+        during = [
+            number for number, (start, end) in sessions.items() if any(start <= piece.stamp <= end for piece in pieces)
+        ]
+        if during:
+            session = self._session_of[robot, source] = max(during, key=lambda number: sessions[number][0])
+            for piece in self._sources[robot, source].values():
+                self._mark(robot, session, piece)
 
     def place(self, robot: str, session: int, correction: Correction | None) -> None:
         """Tell where a session lies in the world; None: that is not known, or not any more."""
@@ -257,20 +278,18 @@ class JointCloud:
 
     def cloud(self) -> Cloud:
         """All points in the world, session by session."""
-        return self._cloud_of(place for _, place in sorted(self._places.items()))
+        return concatenate([piece.cloud() for piece in self.stored_but_of(())])
 
-    def cloud_but_of(self, sources: Collection[tuple[str, int]]) -> Cloud:
-        """The same without that of some sessions."""
-        return self._cloud_of(place for key, place in sorted(self._places.items()) if key not in sources)
-
-    @staticmethod
-    def _cloud_of(places: Iterable[_Place]) -> Cloud:
-        parts = [
-            _in_world(place.correction.at(np.array([p.stamp]))[0], np.concatenate(p.parts), place.correction.lift)
-            for place in places
-            for p in place.pieces
-        ]
-        return concatenate(parts)
+    def stored_but_of(self, sources: Collection[tuple[str, int]]) -> tuple[StoredPiece, ...]:
+        """The pieces in the world as they are now, session by session, without those of some sessions."""
+        return tuple(
+            StoredPiece(tuple(piece.parts), T, place.correction.lift)
+            for key, place in sorted(self._places.items())
+            if key not in sources and place.pieces
+            for piece, T in zip(
+                place.pieces, place.correction.at(np.array([piece.stamp for piece in place.pieces])), strict=True
+            )
+        )
 
     def sweeps(self, robot: str) -> dict[int, Sweeps]:
         """What a robot without keyframes has told, by source, as far as each piece was seen from one place."""

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.collaboration.growing_session import GrowingSession
-from g2_recon.collaboration.joint_cloud import Correction, JointCloud
+from g2_recon.collaboration.joint_cloud import Correction, JointCloud, StoredPiece
 from g2_recon.collaboration.map_merger import JointMap, merge
 from g2_recon.geometry import se3
-from g2_recon.geometry.cloud import Cloud, Piece
+from g2_recon.geometry.cloud import Cloud, Piece, concatenate
 from g2_recon.geometry.session import Session, SessionPart
 
 Float = NDArray[np.float64]
@@ -76,6 +76,22 @@ class SweepWork:
     robots: dict[str, tuple[Cloud, ...]]
     before: dict[str, Float]
     given: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredSweepWork:
+    """The same while its points are those that are stored: another thread copies them, and nothing waits for that."""
+
+    world: tuple[StoredPiece, ...]
+    robots: dict[str, tuple[StoredPiece, ...]]
+    before: dict[str, Float]
+    given: frozenset[str]
+
+    def copied(self) -> SweepWork:
+        """With clouds of its own."""
+        world = concatenate([piece.cloud() for piece in self.world])
+        robots = {key: tuple(piece.cloud() for piece in pieces) for key, pieces in self.robots.items()}
+        return SweepWork(world if len(world) else None, robots, self.before, self.given)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +167,8 @@ class LiveMerger:
     def take_part(self, robot: str, part: SessionPart) -> GrowingSession:
         """Take in what a robot tells of its session; that session. Raises InputError where it is unusable."""
         sessions = self._robots.setdefault(robot, _Robot()).sessions
-        growing = sessions.get(part.number) or GrowingSession(part.number)
+        # One without keyframes is there all the same: it knows what it lacks.
+        growing = sessions[part.number] if part.number in sessions else GrowingSession(part.number)
         before = growing.poses()
         growing.take(part)
         sessions[part.number] = growing
@@ -203,7 +220,7 @@ class LiveMerger:
             for growing in robot.sessions.values():
                 self._follow(name, growing)
 
-    def sweep_work(self) -> SweepWork | None:
+    def sweep_work(self) -> StoredSweepWork | None:
         """Robots that make sweeps, to be placed; None where nothing has come since the last time.
 
         They do not change the map of the others, so that is made first.
@@ -219,12 +236,11 @@ class LiveMerger:
             return None
         self._swept = version
         order = sorted(sweeps, key=lambda key: (_of_key(key)[0] not in self._starts, sweeps[key].begin, key))
-        world = self.cloud.cloud_but_of({_of_key(key) for key in sweeps})
         before = {key: place.T_world_map for key, place in self._sweep_places.items() if place.state == "aligned"}
         starts = {key: self._starts[_of_key(key)[0]] for key in order if _of_key(key)[0] in self._starts}
-        return SweepWork(
-            world if len(world) else None,
-            {key: sweeps[key].clouds() for key in order},
+        return StoredSweepWork(
+            self.cloud.stored_but_of({_of_key(key) for key in sweeps}),
+            {key: sweeps[key].stored() for key in order},
             {key: se3.from_se2(start) for key, start in starts.items()} | before,
             frozenset(starts),
         )

@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import UInt8MultiArray, UInt32, UInt32MultiArray
 
 from g2_recon.collaboration.growing_session import GrowingSession
-from g2_recon.collaboration.live_merger import LiveMerger, Place, SweepWork, Work
+from g2_recon.collaboration.live_merger import LiveMerger, Place, StoredSweepWork, Work
 from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se3
@@ -107,7 +107,7 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         self._next_sequence: dict[tuple[str, int], int] = {}
         self._gaps: dict[tuple[str, int], list[_Gap]] = {}
         self._asked_keyframes: dict[str, tuple[int, float]] = {}
-        self._work: tuple[Work | SweepWork, Future[Made | Placed]] | None = None
+        self._work: tuple[Work | StoredSweepWork, Future[Made | Placed]] | None = None
         self._rest_until = self._grew_at = self._sent_at = -math.inf
         self._merging_takes = 0.0
 
@@ -281,7 +281,7 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         if new is not None:
             self._work = new, self._merging.submit(new)
 
-    def _take_merged(self, work: Work | SweepWork, future: Future[Made | Placed]) -> None:
+    def _take_merged(self, work: Work | StoredSweepWork, future: Future[Made | Placed]) -> None:
         try:
             made = future.result()
         except InputError as error:
@@ -336,9 +336,15 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         return ("stale" if silent and place.session is not None else place.state), place
 
     def _silent_for(self, robot: str, place: Place) -> float:
-        """For how long a robot has told nothing, s; one that makes sweeps tells clouds only."""
-        source = self.inputs.get(f"{robot}/{'cloud' if place.sweeps else 'keyframes'}")
-        return math.inf if source is None else source.silent_for
+        """For how long a robot has told nothing, s.
+
+        One that makes sweeps tells clouds only, and none from one stop to the next: while it offers them it is there.
+        """
+        topic = f"{robot}/{'cloud' if place.sweeps else 'keyframes'}"
+        source = self.inputs.get(topic)
+        if source is None:
+            return math.inf
+        return 0.0 if place.sweeps and self.count_publishers(topic) else source.silent_for
 
     def _reason(self, robot: str, state: str, place: Place) -> str:
         if place.session is None:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.collaboration.live_merger import SweepPlace, SweepWork, Work
+from g2_recon.collaboration.live_merger import StoredSweepWork, SweepPlace, Work
 from g2_recon.collaboration.map_merger import JointMap
 from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
@@ -59,11 +59,11 @@ class MergingProcess:
         self._thread = ThreadPoolExecutor(1, "merging")
         self.process: subprocess.Popen[bytes] | None = None
 
-    def submit(self, work: Work | SweepWork) -> Future[Made | Placed]:
+    def submit(self, work: Work | StoredSweepWork) -> Future[Made | Placed]:
         """What becomes of work; its exception is an InputError where maps cannot be merged, or the process ended."""
         return self._thread.submit(self._do, work)
 
-    def _do(self, work: Work | SweepWork) -> Made | Placed:
+    def _do(self, work: Work | StoredSweepWork) -> Made | Placed:
         if self.process is None or self.process.poll() is not None:
             path = os.pathsep.join(filter(None, sys.path))
             self.process = subprocess.Popen(
@@ -92,14 +92,14 @@ class MergingProcess:
         self._thread.shutdown(cancel_futures=True)
 
 
-def made(work: Work | SweepWork, settings: LocalizationConfig) -> Made | Placed:
+def made(work: Work | StoredSweepWork, settings: LocalizationConfig) -> Made | Placed:
     """The map of all robots, and what shows it; or where those lie in it that make sweeps.
 
     Raises InputError where a map is too large to search.
     """
     began = time.monotonic()
-    if isinstance(work, SweepWork):
-        return Placed(place_sweeps(work), time.monotonic() - began)
+    if isinstance(work, StoredSweepWork):
+        return Placed(place_sweeps(work.copied()), time.monotonic() - began)
     merged = work.merged()
     session = merged.session
     points = map_of_keyframes(session.poses, session.points, session.kinds, settings.map_spacing)

@@ -3,7 +3,8 @@
 """Method `paper`: point-to-point ICP in 6 degrees of freedom (paper, section 2.2, second setup).
 
 Pairs come from a kd-tree, the transform from quaternions in closed form. The gate beyond which pairs are rejected
-shrinks from iteration to iteration: a wide one alone leaves the error of all that only one of the sweeps saw.
+shrinks from iteration to iteration: a wide one alone leaves the error of all that only one of the sweeps saw. With the
+last gate all points of the fixed sweep take part, of the moving one those that its preparation says.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _SHRINK = 0.6
 _ITERATIONS = 40
 _DONE_M, _DONE_OF_GATE = 1e-4, 0.01
 _FEWEST_PAIRS = 6
-# Every so manyth point is enough while the gate is wide.
+# Every so manyth of the thinned points is enough while the gate is wide.
 _COARSE_STEP = 4
 
 
@@ -35,7 +36,7 @@ def align(moving: PreparedSweep, fixed: PreparedSweep, T_fixed_moving: Float, ga
     for reach in _gates(gate, last_gate):
         narrow = reach == last_gate
         if narrow:
-            surface, points, tree = fixed.measured, moving.points, cKDTree(fixed.measured)
+            surface, points, tree = fixed.measured, moving.paired, cKDTree(fixed.measured)
         for _ in range(_ITERATIONS):
             placed = se3.transform_points(T_fixed_moving, points)
             distances, rows = tree.query(placed, distance_upper_bound=reach)

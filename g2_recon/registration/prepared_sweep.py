@@ -44,7 +44,8 @@ class PreparedSweep:
 
     points: (M, 3) m, one a voxel. normals: (M, 3) unit. flat: (M,) whether a point lies on a plane with those around
     it. gicp, tree: the same as small_gicp wants them. nearest: (180, 90) m, the shortest range seen in each 2 deg of
-    azimuth and elevation and those beside it, NaN where nothing was. measured: (N, 3) all points that count.
+    azimuth and elevation and those beside it, NaN where nothing was. measured: (N, 3) all points that count. paired:
+    points or measured, what point-to-point ICP looks for in another sweep at last.
     """
 
     points: Float
@@ -54,6 +55,7 @@ class PreparedSweep:
     tree: small_gicp.KdTree
     nearest: Float
     measured: Float
+    paired: Float
 
     def pairs(self, places: Float) -> tuple[Int, Float]:
         """The nearest point (K,) to each place (K, 3) in the frame of the sweep, and its distance (K,) in metres."""
@@ -81,14 +83,16 @@ def prepare(sweep: Cloud | Float, config: SweepConfig) -> PreparedSweep:
     cloud = small_gicp.PointCloud(thinned)
     tree = small_gicp.KdTree(cloud)
     small_gicp.estimate_normals_covariances(cloud, tree, _NEIGHBORS)
+    kept = np.ascontiguousarray(cloud.points()[:, :3])
     return PreparedSweep(
-        points=np.ascontiguousarray(cloud.points()[:, :3]),
+        points=kept,
         normals=np.ascontiguousarray(cloud.normals()[:, :3]),
         flat=flat,
         gicp=cloud,
         tree=tree,
         nearest=_nearest(points),
         measured=points,
+        paired=points if config.all_points else kept,
     )
 
 

@@ -97,3 +97,42 @@ def test_a_laser_looks_to_its_side_and_neither_is_mirrored(side, y) -> None:
     T = moos.mounting_pose(side)
     assert T[:3, 0] == pytest.approx([0, y, 0])
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
+
+
+def test_a_truth_without_tilt_gets_that_of_another_place() -> None:
+    place, truth = se3.from_xyz_rpy([1, 2, 3, 0.02, -0.03, 0.5]), se3.from_xyz_rpy([4, 5, 6, 0, 0, -2.8])
+    expected = se3.from_xyz_rpy([4, 5, 6, 0.02, -0.03, -2.8])
+    assert registration.with_tilt_of(place, truth) == pytest.approx(expected, abs=1e-3)
+
+
+def test_planes_are_as_far_apart_as_the_places_that_sweeps_are_laid_on() -> None:
+    """A room seen from one place twice: 2 cm too high, and half a degree too far about the upright."""
+    rng = np.random.default_rng(0)
+    walls, T = furnished_room(), stop(5.0, 3.0)
+    seen = [registration.patches(sweep(walls, T, rng)) for _ in range(2)]
+    higher, turned = se3.from_xyz_rpy([0, 0, 0.02, 0, 0, 0]), se3.from_xyz_rpy([0, 0, 0, 0, 0, np.radians(0.5)])
+    (exact, _, level), (_, _, raised), (_, degrees, _) = registration.planes_apart(*seen, [np.eye(4), higher, turned])
+    assert (exact, level) == pytest.approx((0.0, 0.0), abs=2.0)  # mm: patches of 30 points and more, each 1 cm off
+    assert raised == pytest.approx(20.0, abs=2.0)
+    assert degrees < 1.5
+
+
+def test_lines_of_frames_are_right_handed_and_in_metres(tmp_path) -> None:
+    (tmp_path / "scan001.frames").write_text("1 0 0 0 0 1 0 0 0 0 1 0 10 20 30 1 2\n\n" * 2)
+    first, second = registration.read_frames(tmp_path / "scan001.frames")
+    assert np.array_equal(first, second)
+    assert first == pytest.approx(se3.from_xyz_rpy([0.3, -0.1, 0.2, 0, 0, 0]))
+
+
+def test_slam6d_brings_a_sweep_to_those_before_it(monkeypatch) -> None:
+    """Three sweeps of a room; odometry is 5 cm off, and what the second was off is taken off the third as well."""
+    monkeypatch.setattr(registration, "SLAM6D_STEPS", 8)
+    rng = np.random.default_rng(0)
+    stops = [stop(5.0, 3.0), stop(5.2, 3.1, 3.0), stop(5.4, 3.2, 6.0)]
+    points = [sweep(furnished_room(), at, rng)[::4] for at in stops]
+    shift = se3.from_xyz_rpy([0.04, -0.03, 0, 0, 0, 0])
+    sweeps = registration.Slam6DSweeps(points, [stops[0], shift @ stops[1], shift @ stops[2]], [[at] for at in stops])
+    second, third = sweeps.iterations(1), sweeps.iterations(2)
+    assert len(second) == 8
+    assert errors(second[-1], stops[1])[0] < errors(second[0], stops[1])[0] < 0.05
+    assert errors(third[0], stops[2])[0] < 0.01

@@ -56,6 +56,15 @@ def expected(parts):
     return found[np.lexsort(found.T)]
 
 
+def test_points_that_come_after_the_last_keyframe_are_in_the_world_at_once(joint):
+    joint.bind("r", {7: (0.0, 9.0)})
+    joint.place("r", 7, Correction.between(STAMPS, IN_MAP, TURNED))
+    joint.add("r", 3.0, points(0), Piece(1, 0))
+    joint.collect()
+    assert len(joint.collected) == 5
+    assert joint.unplaced == 0
+
+
 def test_points_wait_until_their_place_is_known_and_then_are_in_the_world(joint):
     joint.add("r", 3.0, points(0), Piece(1, 0))
     assert joint.collect() == []

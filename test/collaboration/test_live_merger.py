@@ -7,7 +7,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from g2_recon.collaboration.live_merger import LiveMerger
@@ -59,23 +59,69 @@ def test_robots_are_aligned_and_their_clouds_lie_where_they_belong(sessions, par
     assert off.min(axis=1).max() < 1e-4 and off.min(axis=0).max() < 1e-4
 
 
-@settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.fixture(scope="module")
+def short_whole(short_sessions):
+    """The map of all, made at once."""
+    return merge(short_sessions)
+
+
+def answered(live, name, session, parts):
+    """What a robot sends as long as something of its session is lacking."""
+    *_, last = parts(session, size=20)
+    while (growing := live.session(name, last.number)).lacks:
+        rows = slice(len(growing), len(growing) + 20)
+        live.take_part(name, dataclasses.replace(last, first=rows.start, **session.of_rows(rows)))
+
+
+@settings(max_examples=15, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(data=st.data())
-def test_in_whatever_order_and_at_whatever_times_all_comes_the_map_is_the_same(sessions, parts, whole, data):
-    queues = {name: list(parts(session, size=30)) for name, session in sessions.items()}
-    order = data.draw(st.permutations([name for name, queue in queues.items() for _ in queue]))
-    merged_after = data.draw(st.sets(st.integers(0, len(order) - 1), max_size=2))
-    live = merger()
-    for step, name in enumerate(order):
-        live.take_part(name, queues[name].pop(0))
-        if step in merged_after:
-            work = live.work(settled=False)
-            live.take_merged(work, work.merged())
+def test_in_whatever_order_and_at_whatever_times_all_comes_the_map_is_the_same(
+    short_sessions, parts, short_whole, data
+):
+    """Parts and clouds of all robots are mixed, those of one robot, too; maps are begun and finished at any time."""
+    events = []
+    for name, session in short_sessions.items():
+        events += [(name, part) for part in parts(session, size=20)]
+        events += [(name, k) for k in range(0, len(session), 10)]
+    live, begun = merger(), None
+    merges = data.draw(st.dictionaries(st.integers(0, len(events) - 1), st.integers(0, 10), max_size=2), "merges")
+    for step, number in enumerate(data.draw(st.permutations(range(len(events))), "order")):
+        name, event = events[number]
+        if isinstance(event, int):
+            # A point at the laser of a keyframe, in the map of its robot.
+            session = short_sessions[name]
+            at = np.array([[*session.poses[event, :2], 0.0]])
+            live.take_cloud(name, float(session.stamps[event]), Cloud(at, at), Piece(5, event))
+        else:
+            live.take_part(name, event)
+        if step in merges and begun is None:
+            work = live.work(settled=merges[step] % 2 == 0)
+            begun = None if work is None else (step + merges[step], work, work.merged())
+        if begun is not None and step >= begun[0]:
+            live.take_merged(*begun[1:])
+            begun = None
+    if begun is not None:
+        live.take_merged(*begun[1:])
+    for name, session in short_sessions.items():
+        answered(live, name, session, parts)
     brought_up_to_date(live)
     rows = {key.split()[0]: rows for key, rows in live.map.rows.items()}
-    for name in sessions:
-        off = se2.relative(whole.poses(name), live.map.session.poses[rows[name]])
+    for name in short_sessions:
+        off = se2.relative(short_whole.poses(name), live.map.session.poses[rows[name]])
         assert np.hypot(off[:, 0], off[:, 1]).max() < 0.01  # m
+    wanted = np.concatenate([short_whole.poses(name)[::10, :2] for name in short_sessions])
+    placed = live.cloud.cloud().points[:, :2]
+    assert len(placed) == len(wanted)
+    assert np.linalg.norm(placed[:, None] - wanted[None], axis=2).min(axis=1).max() < 0.01  # m
+
+
+def test_a_robot_whose_last_part_comes_first_is_known_to_lack_the_others(sessions, parts):
+    first, *_, last = parts(sessions["one"])
+    live = merger()
+    for part in (last, first):
+        growing = live.take_part("one", part)
+    assert growing.lacks
+    assert growing.told == len(sessions["one"])
 
 
 def test_nothing_is_merged_twice(sessions, parts):

@@ -237,6 +237,23 @@ def test_both_styles_of_tf_work(start, monkeypatch, frame, sent):
         np.testing.assert_allclose(T, (5.0, 1.0, 1.5), atol=1e-6)
 
 
+def test_a_robot_that_makes_sweeps_is_stale_once_it_is_gone_and_not_from_one_stop_to_the_next(start):
+    harness = start("-p", "stale_after:=1.0")
+    publisher = harness.observer.create_publisher(PointCloud2, "/anna/cloud", 1000)
+    harness.wait_until(publisher.get_subscription_count)
+    at = simulated_sweeps.stop(3, 3, 10)
+    points = simulated_sweeps.sweep(simulated_sweeps.furnished_room(), at, np.random.default_rng(0))
+    head = Header(frame_id="anna/map", stamp=conversions.stamp_message(100.0))
+    publisher.publish(conversions.cloud_to_message(head, Cloud(points, np.zeros_like(points)), Piece(1, 0), 0))
+    harness.wait_until(lambda: harness.told and harness.state("anna") == "aligned")
+    harness.wait_until(lambda: harness.node.inputs["anna/cloud"].silent_for > 1.5)
+    told = len(harness.told)
+    harness.wait_until(lambda: len(harness.told) > told + 1)
+    assert harness.state("anna") == "aligned"
+    harness.observer.destroy_publisher(publisher)
+    harness.wait_until(lambda: harness.state("anna") == "stale")
+
+
 def test_robots_that_make_sweeps_are_found_and_come_into_one_world(start):
     harness = start()
     rectangles, rng = simulated_sweeps.furnished_room(), np.random.default_rng(0)

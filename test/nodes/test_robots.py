@@ -46,6 +46,8 @@ MOUNTED = """
     laser_pose: [0.0, 0.0, 0.3, 0.0, -1.5707963, 0.0]
 """
 BEAMS = 20
+# Scans are 10 cm apart along the way of a robot that drives slowly, and so far in time, s.
+STEP_S = 0.4
 
 
 class Robot:
@@ -147,7 +149,7 @@ def site(ros, floor, seen, tmp_path):
     harness.robots = []
     for number, (name, way) in enumerate(ways.items()):
         rng = np.random.default_rng(number)
-        stamps = 1000.0 * (number + 1) + 0.1 * np.arange(len(way))
+        stamps = 1000.0 * (number + 1) + STEP_S * np.arange(len(way))
         scans = [seen(walls, pose, stamp, rng) for stamp, pose in zip(stamps, way, strict=True)]
         scans = [replace(scan, frame_id="laser") for scan in scans]
         harness.robots.append(Robot(harness, name, way, scans, tmp_path / name))
@@ -186,9 +188,10 @@ def test_whoever_is_cut_off_or_killed_comes_back_and_nothing_recorded_is_missing
     for robot in site.robots:
         robot.wait_until_it_runs()
         robot.drive(80)
-    # Robot 2 drives on where the radio does not reach.
+    # Robot 2 drives on where the radio does not reach, for a minute of its time.
     two.reaches = False
-    two.drive(120)
+    two.drive(150)
+    assert two.scans[two.step].stamp - two.scans[two.step - 150].stamp > 59.9
     # Robot 3 is killed and started anew.
     three.kill()
     three.start()

@@ -5,10 +5,13 @@
 import numpy as np
 import pytest
 import simulated_sweeps
+from scipy.spatial import cKDTree
 
 from g2_recon.config import SweepConfig
 from g2_recon.geometry import se3
 from g2_recon.registration.coarse_alignment import candidates
+from g2_recon.registration.horn import absolute_orientation
+from g2_recon.registration.prepared_sweep import prepare
 from g2_recon.registration.sweep_matching import METHODS
 
 # Metres; of 36,200 points with 1 cm of noise. Point-to-point methods feel how far the beams are apart.
@@ -34,6 +37,18 @@ def test_where_no_pairs_are_the_guess_comes_back(room, method):
 def test_the_same_sweeps_give_the_same_transform(room, method):
     first, second = (METHODS[method].align(room.moving, room.fixed, room.T, 0.3, 0.1) for _ in range(2))
     assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize("every", [False, True], ids=["one a voxel", "all points"])
+def test_where_paper_ends_the_points_of_its_setting_would_have_it(room, every):
+    moving = prepare(room.points[1], SweepConfig(all_points=every))
+    assert len(moving.paired) == len(moving.measured if every else moving.points)
+    T = METHODS["paper"].align(moving, room.fixed, room.T, 0.3, 0.1)
+    placed = se3.transform_points(T, moving.paired)
+    distances, rows = cKDTree(room.fixed.measured).query(placed, distance_upper_bound=0.1)
+    paired = np.isfinite(distances)
+    step = absolute_orientation(room.fixed.measured[rows[paired]], placed[paired])
+    assert np.abs(se3.transform_points(step, placed) - placed).max() < 0.0002  # m: twice what ends the iteration
 
 
 def test_one_of_the_coarse_candidates_is_near_the_truth(room):
