@@ -33,7 +33,7 @@ _ALIKE_SIGMA_M = 0.045
 _WHEEL_VARIANCE, _INERTIA_VARIANCE = np.array([0.015, 0.015, 0.05]) ** 2, np.array([0.12, 0.12, 0.1]) ** 2
 _WHEEL_SPAN, _WHEEL_MEMORY, _LEAST_WHEEL_SIGMA, _LARGEST_WHEEL_SIGMA = 8, 50, 0.001, 0.5
 # Sigma by which corners, such as door frames, tell the way where nothing else does, of sigmas of a pair after one m.
-_CORNER_SIGMAS = 1.2
+_CORNER_SIGMAS = 1.5
 WAY_PER_RAD = 0.3
 """A turn counts as so many metres of way a radian: it lets drift grow as driving does."""
 # So much of the pairs of a bare wall seem to hold a scan along it, as noise tilts their normals.
