@@ -116,7 +116,8 @@ deg; turned: not within {BACK_DEG} deg; wrong, believed: not back, and the match
 SIMULATION_NOTE = """\
 The recording in bags/, 100 m through a simulated floor with corridors, beside its exact trajectory. mean: distance from
 the truth, of the trajectory after the end and of the causal one; end: error of the last pose as seen from the first;
-inside: share of the causal poses whose 95 % ellipse, by the covariance that came with each, holds the truth; sigma:
+inside: share of the causal poses whose 95 % ellipse, by the covariance that came with each, holds the truth, which
+counts over all drives together: the poses of one drive err together, by where its heading has drifted to; sigma:
 median along the longer axis of the ellipse."""
 
 # A place is right within this.

@@ -53,6 +53,8 @@ _MOST_SUDDEN = np.array([1.0, 1.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
 # A direction in which nothing is known has this information.
 _LEAST_INFORMATION = 1e-4
+# Along a direction in which corners tell where a scan is, there is at least so much more of it, 1 / m^2.
+_LEAST_BY_CORNERS = 1000.0
 # So many scans are matched at once at the end: enough for all cores, and little memory.
 _MATCHED_AT_ONCE = 1024
 # Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
@@ -114,6 +116,8 @@ class Localizer:
         self._last: Float = self._start
         self._stamp = -math.inf
         self._twist: Float = np.zeros(3)
+        # The direction (2,) in the map along which corners have told where the last scan is, if they have.
+        self._corners: Float | None = None
         self._lost = 0
         self._uncertainty = Uncertainty(self._keyframes)
         self.unmatched = 0
@@ -152,6 +156,7 @@ class Localizer:
         self._stamp = scan.stamp
         self._wheels_since = compose(self._wheels_since, _UNKNOWN if step is None or placement.wheels_err else step)
         self._last = placement.pose
+        self._corners = self._told_by_corners(placement) if step is None else None
         keyframe = self._grow_map(seen, placement)
         self._remember(scan.stamp, seen, placement.pose, keyframe=keyframe)
         # A loop that was closed moves the present pose, too.
@@ -204,6 +209,15 @@ class Localizer:
         self._add_keyframe(seen, placement.pose, way + WAY_PER_RAD * turn, broken=False)
         return True
 
+    def _told_by_corners(self, placement: Placement) -> Float | None:
+        """The direction (2,) along which a match without wheels was slid to where corners fit best, if it was.
+
+        Beyond what its surfaces say, all that is known of it otherwise is a guess that is as good along as across.
+        """
+        beyond = (placement.information - placement.hessian / self._tracker.pair_sigma**2)[:2, :2]
+        values, vectors = np.linalg.eigh(beyond)
+        return np.asarray(vectors[:, 1]) if values[1] - values[0] > _LEAST_BY_CORNERS else None
+
     def _add_keyframe(self, seen: Beams, pose: Float, way: float, *, broken: bool) -> None:
         self._keyframes.add(seen, pose)
         self._keyframe_stamps.append(self._stamp)
@@ -212,8 +226,8 @@ class Localizer:
         self._ways.append(way + (self._ways[-1] if self._ways else 0.0))
         self._broken.append(broken)
         self._smoother.add(self._wheel_steps[-1], self._tracker.segment)
-        wheels = not np.isnan(self._wheel_steps[-1]).any()
-        self._uncertainty.add(self._smoother.latest(), wheels=wheels, broken=broken)
+        edges, wheels = self._smoother.latest(), self._wheel_steps[-1]
+        self._uncertainty.add(edges, wheels=wheels, broken=broken, corners=self._corners)
         self._tracker.pair_sigma = self._uncertainty.pair_sigma
         self._tracker.moved()
         self._last = self._keyframes.poses[-1].copy()

@@ -61,9 +61,11 @@ _AMBIGUOUS = 1e-5
 _LOOP_SIGMA_M, _LOOP_SIGMA_RAD = 0.05, 0.01
 # In covariances a loop errs by so many times what a pair of points does.
 _LOOP_SIGMAS = 1.2
-# What the first loops show of the drift is one voice beside as much as so many measurements; one says no more than so
-# many times what was expected.
-_DRIFTS_BEFORE, _MOST_DRIFTS = 2.0, 25.0
+# What the first loops show of the drift, and of how far loops err, is one voice beside as much as so many measurements;
+# one says no more than so many times what was expected, and makes nothing smaller than by so much.
+_SHOWN_BEFORE, _MOST_SHOWN, _LEAST_CHANGE = 2.0, 25.0, 0.2
+# By such a share the variance of the drift is varied to see how much of a covariance comes from it.
+_VARIED = 0.01
 # How sure a place in the map of an earlier session is.
 _KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD = 0.1, 0.02
 _KERNEL = 16.0
@@ -95,8 +97,8 @@ class LoopCloser:
         self._sequence: list[tuple[Float, Float]] = []
         # Covariance (3, 3) of each step of the sequence, as far as it is known; the graph itself trusts it less.
         self._drifts: list[Float] = []
-        # What loops have shown of the drift, in squares, and how much that was expected to be.
-        self._shown, self._expected = _DRIFTS_BEFORE, _DRIFTS_BEFORE
+        # How many times larger than told the variances of drifts and of loops are, and how much has told that (2, 2).
+        self._scales, self._shown = np.ones(2), _SHOWN_BEFORE * np.eye(2)
         self._pair_sigma = 0.0
         self.loops: list[tuple[int, int, Float, Float]] = []
         # Pyramids of local maps, of their lowest level only.
@@ -119,7 +121,7 @@ class LoopCloser:
         if not self.close(new):
             return None
         self.optimize()
-        return before, self._covariance(new)
+        return before, self._covariance(new, drift_scale=self.drift_scale, loop_scale=self.loop_scale)
 
     def add(self, keyframes: Keyframes, first: int, last: int, way: float, drift: Float | None = None) -> int:
         """Add a local map of the keyframes from `first` to before `last`, way m after the start; its index.
@@ -360,13 +362,14 @@ class LoopCloser:
     def _accept(self, j: int, c: int, T: Float, information: Float, *, learn: bool = True) -> bool:
         """Believe a loop if the graph with it, the loop itself not doubted, costs little more than without.
 
-        learn: whether it tells how far the robot drifted, as it does where the place has not just been put right.
+        learn: whether it tells how far the robot drifted and how far loops err, as it does where the place has not just
+        been put right.
         """
         new = (j, c, T, information)
         poses, cost, squared = self._solved([new], trust_last=True, rounds=8)
         if cost - self._cost < _MOST_COST and squared[-1] < _MOST_DEVIATION:
             if learn:
-                self._learn_drift(j, c, T, information)
+                self._learn_scales(j, c, T, information)
             self.poses = poses
             self._cost = cost
             self.loops.append(new)
@@ -400,31 +403,52 @@ class LoopCloser:
     @property
     def drift_scale(self) -> float:
         """How many times larger than told the variances of drifts are, by the loops that were closed."""
-        return self._shown / self._expected
+        return float(self._scales[0])
 
-    def _learn_drift(self, j: int, c: int, T: Float, information: Float) -> None:
-        """Compare how far a new loop T_j_c is from where the graph has it with how far it was expected to be."""
+    @property
+    def loop_scale(self) -> float:
+        """How many times larger than told the variances of loops are, as they show beside each other."""
+        return float(self._scales[1])
+
+    def _learn_scales(self, j: int, c: int, T: Float, information: Float) -> None:
+        """Compare how far a new loop T_j_c is from where the graph has it with how far it was expected to be.
+
+        What was expected comes in part from the drift, in part from this loop and those before: of the parts S_p of the
+        sum S each shows off^T S^-1 S_p S^-1 off, where the sum over q of tr(S^-1 S_p S^-1 S_q) was expected; a step of
+        scoring for the greatest likelihood makes them more alike (Harville, JASA 72(358), 1977).
+        """
         if not self._pair_sigma:
             return
-        drifted = pose_graph.covariance_between(self._covariance(c, j), self.poses[j], self.poses[c])
-        of_loop = np.linalg.inv(self._of_loops(information))
+        drift_scale, loop_scale = self._scales
+        known = self._between(j, c, drift_scale, loop_scale)
+        drift = (self._between(j, c, drift_scale * (1 + _VARIED), loop_scale) - known) / _VARIED
+        expected = known + np.linalg.inv(self._of_loops(information, loop_scale))
         off = relative(self.poses[j], self.poses[c]) - T
         off[2] = wrap(off[2])
-        share = np.linalg.solve(drifted + of_loop, np.column_stack([off, drifted]))
-        shown, expected = share[:, 0] @ drifted @ share[:, 0], np.trace(share[:, 1:])
-        self._shown += min(shown, _MOST_DRIFTS * expected) * self.drift_scale
-        self._expected += expected
+        pulled = np.linalg.solve(expected, off)
+        parts = np.array([drift, expected - drift])
+        shares = np.linalg.solve(expected, parts)
+        alike = np.einsum("pij,qji->pq", shares, shares)
+        told = alike.sum(axis=1)
+        self._shown += alike
+        change = np.linalg.solve(self._shown, np.minimum(pulled @ parts @ pulled, _MOST_SHOWN * told) - told)
+        self._scales *= np.maximum(1 + change, _LEAST_CHANGE)
 
-    def _of_loops(self, information: Float) -> Float:
-        return information * (_LOOP_SIGMA_M / (_LOOP_SIGMAS * self._pair_sigma)) ** 2
+    def _of_loops(self, information: Float, scale: float) -> Float:
+        return information * (_LOOP_SIGMA_M / (_LOOP_SIGMAS * self._pair_sigma)) ** 2 / scale
 
-    def _covariance(self, *wanted: int) -> Float:
+    def _between(self, j: int, c: int, drift_scale: float, loop_scale: float) -> Float:
+        """Covariance (3, 3) of T_j_c of two local maps."""
+        joint = self._covariance(c, j, drift_scale=drift_scale, loop_scale=loop_scale)
+        return pose_graph.covariance_between(joint, self.poses[j], self.poses[c])
+
+    def _covariance(self, *wanted: int, drift_scale: float, loop_scale: float) -> Float:
         """Joint covariance (3 W, 3 W) of the poses of local maps in the map."""
         edges = self._edges([])
         count = len(self._sequence)
         weights = _doubted(pose_graph.deviations(self.poses, edges), np.arange(len(edges)) >= count)
-        edges.hessians[:count] = np.linalg.inv(self.drift_scale * np.reshape(self._drifts, (-1, 3, 3)))
-        edges.hessians[count:] = self._of_loops(edges.hessians[count:])
+        edges.hessians[:count] = np.linalg.inv(drift_scale * np.reshape(self._drifts, (-1, 3, 3)))
+        edges.hessians[count:] = self._of_loops(edges.hessians[count:], loop_scale)
         return pose_graph.covariance(self.poses, edges, weights, wanted)
 
 

@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry.se2_kernels import carried, inverse_3x3, relative, solve_3x3, weakest
+from g2_recon.geometry import se2
+from g2_recon.geometry.se2_kernels import carried, compose, inverse_3x3, relative, solve_3x3, weakest
 from g2_recon.localization import pose_graph
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.pairing import add_turned
@@ -18,13 +20,20 @@ from g2_recon.localization.pairing import add_turned
 Float = NDArray[np.float64]
 
 # Edges to keyframes at least so far back show how much the way from there drifts. Sigma of a pair, m, before any are
-# known; no edge says more than the largest; the estimate is a running mean over so many edges.
-_LONG_SPAN = 8
-_FIRST_SIGMA_M, _LARGEST_SIGMA_M, _MEMORY = 0.02, 0.1, 100
-# A step errs by this share of the variance of one edge, as errors of scans side by side are alike.
-_DRIFT_SHARE = 0.025
-# Where the scans say nothing: variance of the wheels, and of going on as before, m^2 a m and rad^2 a rad.
+# known; no edge says less or more than these; the estimate is a running mean over so many edges, of which the first
+# guess counts as some.
+_LONG_SPAN = 12
+_FIRST_SIGMA_M, _LEAST_SIGMA_M, _LARGEST_SIGMA_M, _GUESSED, _MEMORY = 0.01, 0.002, 0.1, 25, 100
+# Errors that are independent from beam to beam average out over the edges of many scans; those that are alike in scans
+# side by side do not, and the more scans disagree, the greater a part of that is of this kind: a step errs by the share
+# of the variance of an edge that this variance is of the square of this, m (by drives in the simulation and on logs).
+_ALIKE_SIGMA_M = 0.045
+# Where the scans say nothing: variance of the wheels before it is known, and of going on as before, m^2 a m and rad^2
+# a rad. How far wheels err is learned over so many keyframes where scans know better.
 _WHEEL_VARIANCE, _INERTIA_VARIANCE = np.array([0.015, 0.015, 0.05]) ** 2, np.array([0.12, 0.12, 0.1]) ** 2
+_WHEEL_SPAN, _WHEEL_MEMORY, _LEAST_WHEEL_SIGMA, _LARGEST_WHEEL_SIGMA = 8, 50, 0.001, 0.5
+# Sigma by which corners, such as door frames, tell the way where nothing else does, of sigmas of a pair after one m.
+_CORNER_SIGMAS = 1.5
 WAY_PER_RAD = 0.3
 """A turn counts as so many metres of way a radian: it lets drift grow as driving does."""
 # So much of the pairs of a bare wall seem to hold a scan along it, as noise tilts their normals.
@@ -38,13 +47,17 @@ class Uncertainty:
     """Covariances of keyframes.
 
     pair_sigma: m, by which the place of a wall in one scan and in another differs, with what beams side by side have in
-    common: d^T H d of an edge is compared with its square. drift_scale: how many times as large as expected the
-    variance of a step is, by the loops that were closed.
+    common: d^T H d of an edge is compared with its square. wheel_variance: (3,) of what the wheels say, a m of way.
+    drift_scale: how many times as large as expected the variance of a step is, by the loops that were closed.
     """
 
     def __init__(self, keyframes: Keyframes) -> None:
         self._keyframes = keyframes
         self._variance = _FIRST_SIGMA_M**2
+        self._learned = float(_GUESSED)
+        self.wheel_variance: Float = _WHEEL_VARIANCE.copy()
+        # Of the latest keyframes: step (3,) of the wheels, way, and shares (3,) of the scans in what is known of it.
+        self._driven: deque[tuple[Float, float, Float]] = deque(maxlen=_WHEEL_SPAN)
         # Covariance (3, 3) of the latest keyframe in the map frame; of the steps to each keyframe, in its own frame.
         self.covariance: Float = np.zeros((3, 3))
         self._steps: list[Float] = []
@@ -60,10 +73,11 @@ class Uncertainty:
         """See the class."""
         return math.sqrt(self._variance)
 
-    def add(self, edges: pose_graph.Edges | None, *, wheels: bool, broken: bool) -> None:
+    def add(self, edges: pose_graph.Edges | None, *, wheels: Float, broken: bool, corners: Float | None = None) -> None:
         """Take note of the latest keyframe and the edges from it to those before, at their present poses.
 
-        wheels: whether the wheels told the step to it. broken: whether track was lost on the way.
+        wheels: (3,) their step to it, NaN where unknown. broken: whether track was lost on the way. corners: direction
+        (2,) in the map along which corners have told where the keyframe is, if they have.
         """
         poses = self._keyframes.poses
         k = len(poses) - 1
@@ -72,24 +86,52 @@ class Uncertainty:
             return
         if broken:
             step = np.diag(_BROKEN_SIGMA**2)
+            self._driven.clear()
         else:
-            step = self._step(edges, relative(poses[k - 1], poses[k]), wheels=wheels)
+            step = self._step(edges, relative(poses[k - 1], poses[k]), wheels, corners)
         self._steps.append(step)
         self.covariance = self._led_on(self.covariance, k, self.drift_scale)
 
-    def _step(self, edges: pose_graph.Edges | None, moved: Float, *, wheels: bool) -> Float:
+    def _step(self, edges: pose_graph.Edges | None, moved: Float, wheels: Float, corners: Float | None) -> Float:
         """Covariance (3, 3) that a step (3,) adds, in the frame that it leads to."""
         way = max(_LEAST_WAY_M, math.hypot(moved[0], moved[1]) + WAY_PER_RAD * abs(moved[2]))
-        variance = way * (_WHEEL_VARIANCE if wheels else _INERTIA_VARIANCE)
+        driven = not np.isnan(wheels).any()
+        otherwise = np.diag(1 / (way * (self.wheel_variance if driven else _INERTIA_VARIANCE)))
+        if corners is not None:
+            yaw = self._keyframes.poses[-1, 2]
+            along = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) @ corners
+            otherwise[:2, :2] += np.outer(along, along) / (way * _CORNER_SIGMAS**2 * self._variance)
         if edges is None or not len(edges):
-            return np.diag(variance)
+            self._driven.clear()
+            return np.asarray(inverse_3x3(otherwise))
         self._learn(edges)
-        return np.asarray(_added(edges.hessians, edges.T[:, 2], variance, _DRIFT_SHARE * self._variance))
+        share = self._variance / _ALIKE_SIGMA_M**2
+        covariance, scans = _added(edges.hessians, edges.T[:, 2], otherwise, share * self._variance)
+        if driven:
+            self._learn_wheels(wheels, way, scans)
+        else:
+            self._driven.clear()
+        return np.asarray(covariance)
 
     def _learn(self, edges: pose_graph.Edges) -> None:
         """What edges want other than they have got, in units of their own information, tells how far scans err."""
         far = edges.first - edges.second >= _LONG_SPAN
-        self._variance = _learned(self._variance, edges.hessians, edges.gradients, far)
+        self._variance, self._learned = _learned(self._variance, self._learned, edges.hessians, edges.gradients, far)
+
+    def _learn_wheels(self, step: Float, way: float, scans: Float) -> None:
+        """How far the wheels err is seen along those axes along which it is the scans that know the way."""
+        self._driven.append((step, way, scans))
+        if len(self._driven) < _WHEEL_SPAN:
+            return
+        told = se2.IDENTITY
+        for part, _, _ in self._driven:
+            told = compose(told, part)
+        poses = self._keyframes.poses
+        off = relative(relative(poses[-1 - _WHEEL_SPAN], poses[-1]), told)
+        squared = off**2 / sum(length for _, length, _ in self._driven)
+        bounded = np.clip(squared, _LEAST_WHEEL_SIGMA**2, _LARGEST_WHEEL_SIGMA**2)
+        known = np.min([shares for _, _, shares in self._driven], axis=0)
+        self.wheel_variance += known * (bounded - self.wheel_variance) / _WHEEL_MEMORY
 
     def _led_on(self, covariance: Float, k: int, scale: float) -> Float:
         """The covariance (3, 3) of keyframe k - 1 as that of keyframe k."""
@@ -116,13 +158,17 @@ class Uncertainty:
 
 
 @numba.njit(cache=True, nogil=True)
-def _learned(variance, hessians, gradients, counting):  # type: ignore[no-untyped-def]
-    """The running mean of the squares, a degree of freedom, of what the counting edges (M,) want otherwise."""
+def _learned(variance, count, hessians, gradients, counting):  # type: ignore[no-untyped-def]
+    """The running mean of the squares, a degree of freedom, of what the counting edges (M,) want otherwise.
+
+    count: of how many squares the mean is.
+    """
     for m in np.flatnonzero(counting):
         pull = gradients[m]
         squared = (pull * solve_3x3(hessians[m] + np.eye(3), pull)).sum() / 3
-        variance += (min(squared, _LARGEST_SIGMA_M**2) - variance) / _MEMORY
-    return variance
+        count = min(count + 1.0, _MEMORY)
+        variance += (min(max(squared, _LEAST_SIGMA_M**2), _LARGEST_SIGMA_M**2) - variance) / count
+    return variance, count
 
 
 @numba.njit(cache=True, nogil=True)
@@ -138,22 +184,29 @@ def _mean_seen_from_first(hessians, yaws):  # type: ignore[no-untyped-def]
 def _added(hessians, yaws, otherwise, variance):  # type: ignore[no-untyped-def]
     """Covariance (3, 3) of a step that edges T_j_i with hessians (M, 3, 3) and yaws (M,) of one i hold, in frame i.
 
-    otherwise: (3,) variances of all else that is known. variance: of a pair of points, m^2.
+    otherwise: information (3, 3) of all else that is known. variance: of a pair of points, m^2. Also the share (3,)
+    of the scans in what is known, along each axis.
     """
     held = _mean_seen_from_first(hessians, yaws) / variance
-    total = held.copy()
-    for u in range(3):
-        total[u, u] += 1 / otherwise[u]
-    covariance = inverse_3x3(total)
+    covariance = inverse_3x3(held + otherwise)
     # Along a direction with no surface, where noise of normals seems to hold a scan, the rest is missing.
     least, direction = weakest(held)
-    rest = direction[0] ** 2 / otherwise[0] + direction[1] ** 2 / otherwise[1]
-    honest = max(0.0, least - _TILTED * (held[0, 0] + held[1, 1]))
-    missing = 1 / (honest + rest) - 1 / (least + rest)
+    tilted = min(least, _TILTED * (held[0, 0] + held[1, 1]))
+    rest = 0.0
     for u in range(2):
         for v in range(2):
+            rest += direction[u] * otherwise[u, v] * direction[v]
+    missing = 1 / (least - tilted + rest) - 1 / (least + rest)
+    shares = np.empty(3)
+    for u in range(3):
+        shares[u] = held[u, u]
+    for u in range(2):
+        shares[u] -= tilted * direction[u] ** 2
+        for v in range(2):
             covariance[u, v] += missing * direction[u] * direction[v]
-    return covariance
+    for u in range(3):
+        shares[u] /= shares[u] + otherwise[u, u]
+    return covariance, shares
 
 
 @numba.njit(cache=True, nogil=True)

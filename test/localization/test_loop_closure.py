@@ -185,3 +185,21 @@ def test_a_local_map_is_where_its_keyframes_were_smoothed_to(scan_of_halls, keyf
     smoothed.poses[:] += (0.1, 0.0, 0.01)
     closer.take_poses(smoothed)
     assert closer.poses == pytest.approx(smoothed.poses[[m.reference for m in closer.maps]], abs=0)
+
+
+def test_loops_show_how_far_the_way_drifts_and_how_far_they_err_themselves():
+    rng, drifts, loops = np.random.default_rng(0), 4.0, 0.25
+    closer = LoopCloser()
+    closer.poses = np.column_stack([5.0 * np.arange(30), np.zeros(30), np.zeros(30)])
+    closer._sequence = [(np.array([5.0, 0, 0]), np.eye(3))] * 29
+    closer._drifts = [np.diag([0.003, 0.003, 0.0005]) ** 2] * 29
+    closer._pair_sigma = 0.02
+    information = np.diag([1 / 0.05**2, 1 / 0.05**2, 1 / 0.01**2])
+    of_loop = np.linalg.inv(closer._of_loops(information, 1.0))
+    for _ in range(300):
+        c = int(rng.integers(1, 30))
+        off = rng.multivariate_normal(np.zeros(3), drifts * closer._between(0, c, 1.0, 1.0) + loops * of_loop)
+        closer._learn_scales(0, c, se2.relative(closer.poses[0], closer.poses[c]) - off, information)
+    # Of 900 numbers, some hundred speak for each; the first guess still counts a little.
+    assert closer.drift_scale == pytest.approx(drifts, rel=0.25)
+    assert closer.loop_scale == pytest.approx(loops, rel=0.25)
