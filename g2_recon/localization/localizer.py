@@ -52,7 +52,7 @@ _FASTEST = np.array([5.0, 5.0, 5.0])
 _MOST_SUDDEN = np.array([1.0, 1.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
 # A direction in which nothing is known has this information.
-_LEAST_INFORMATION = 1e-4
+_NEARLY_NOTHING = 1e-4 * np.eye(3)
 # Along a direction in which corners tell where a scan is, there is at least so much more of it, 1 / m^2.
 _LEAST_BY_CORNERS = 1000.0
 # So many scans are matched at once at the end: enough for all cores, and little memory.
@@ -234,8 +234,10 @@ class Localizer:
 
     def _covariance(self, placement: Placement) -> Float:
         """Covariance (3, 3) of the present pose in the map frame: of the match, and of the keyframe it hangs on."""
-        match = np.asarray(inverse_3x3(placement.information + _LEAST_INFORMATION * np.eye(3)))
-        return match if self._segment_is_empty else self._uncertainty.seen_from_latest(self._last) + match
+        information = placement.information + _NEARLY_NOTHING
+        if self._segment_is_empty:
+            return np.asarray(inverse_3x3(information))
+        return self._uncertainty.of_match(self._last, information)
 
     def _remember(self, stamp: float, seen: Beams, pose: Float, *, keyframe: bool) -> None:
         if self._segment_is_empty:

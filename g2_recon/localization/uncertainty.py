@@ -5,13 +5,11 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import carried, compose, inverse_3x3, relative, solve_3x3, weakest
 from g2_recon.localization import pose_graph
 from g2_recon.localization.keyframes import Keyframes
@@ -56,8 +54,10 @@ class Uncertainty:
         self._variance = _FIRST_SIGMA_M**2
         self._learned = float(_GUESSED)
         self.wheel_variance: Float = _WHEEL_VARIANCE.copy()
-        # Of the latest keyframes: step (3,) of the wheels, way, and shares (3,) of the scans in what is known of it.
-        self._driven: deque[tuple[Float, float, Float]] = deque(maxlen=_WHEEL_SPAN)
+        # Of the latest keyframes: step (3,) of the wheels, way, and shares (3,) of the scans in what is known of it; so
+        # many of them in a row, the latest last.
+        self._driven: Float = np.zeros((_WHEEL_SPAN, 7))
+        self._in_a_row = 0
         # Covariance (3, 3) of the latest keyframe in the map frame; of the steps to each keyframe, in its own frame.
         self.covariance: Float = np.zeros((3, 3))
         self._steps: list[Float] = []
@@ -86,7 +86,7 @@ class Uncertainty:
             return
         if broken:
             step = np.diag(_BROKEN_SIGMA**2)
-            self._driven.clear()
+            self._in_a_row = 0
         else:
             step = self._step(edges, relative(poses[k - 1], poses[k]), wheels, corners)
         self._steps.append(step)
@@ -102,7 +102,7 @@ class Uncertainty:
             along = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) @ corners
             otherwise[:2, :2] += np.outer(along, along) / (way * _CORNER_SIGMAS**2 * self._variance)
         if edges is None or not len(edges):
-            self._driven.clear()
+            self._in_a_row = 0
             return np.asarray(inverse_3x3(otherwise))
         self._learn(edges)
         share = self._variance / _ALIKE_SIGMA_M**2
@@ -110,7 +110,7 @@ class Uncertainty:
         if driven:
             self._learn_wheels(wheels, way, scans)
         else:
-            self._driven.clear()
+            self._in_a_row = 0
         return np.asarray(covariance)
 
     def _learn(self, edges: pose_graph.Edges) -> None:
@@ -120,18 +120,12 @@ class Uncertainty:
 
     def _learn_wheels(self, step: Float, way: float, scans: Float) -> None:
         """How far the wheels err is seen along those axes along which it is the scans that know the way."""
-        self._driven.append((step, way, scans))
-        if len(self._driven) < _WHEEL_SPAN:
-            return
-        told = se2.IDENTITY
-        for part, _, _ in self._driven:
-            told = compose(told, part)
-        poses = self._keyframes.poses
-        off = relative(relative(poses[-1 - _WHEEL_SPAN], poses[-1]), told)
-        squared = off**2 / sum(length for _, length, _ in self._driven)
-        bounded = np.clip(squared, _LEAST_WHEEL_SIGMA**2, _LARGEST_WHEEL_SIGMA**2)
-        known = np.min([shares for _, _, shares in self._driven], axis=0)
-        self.wheel_variance += known * (bounded - self.wheel_variance) / _WHEEL_MEMORY
+        self._driven[:-1] = self._driven[1:]
+        self._driven[-1, :3], self._driven[-1, 3], self._driven[-1, 4:] = step, way, scans
+        self._in_a_row += 1
+        if self._in_a_row >= _WHEEL_SPAN:
+            poses = self._keyframes.poses
+            _learn_wheels(self._driven, poses[-1 - _WHEEL_SPAN], poses[-1], self.wheel_variance)
 
     def _led_on(self, covariance: Float, k: int, scale: float) -> Float:
         """The covariance (3, 3) of keyframe k - 1 as that of keyframe k."""
@@ -151,10 +145,31 @@ class Uncertainty:
             covariance = self._led_on(covariance, following, self.drift_scale)
         self.covariance = covariance
 
-    def seen_from_latest(self, pose: Float) -> Float:
-        """Covariance (3, 3) that a pose (3,) has from the latest keyframe, were it rigidly connected."""
-        x, y, _ = pose - self._keyframes.poses[-1]
-        return np.asarray(carried(self.covariance, x, y))
+    def of_match(self, pose: Float, information: Float) -> Float:
+        """Covariance (3, 3) of a pose (3,) that is matched to the latest keyframe with an information (3, 3)."""
+        return np.asarray(_of_match(self.covariance, self._keyframes.poses[-1], pose, information))
+
+
+@numba.njit(cache=True, nogil=True)
+def _of_match(covariance, latest, pose, information):  # type: ignore[no-untyped-def]
+    """Of the match, and of the keyframe as if the pose were rigidly connected to it."""
+    return carried(covariance, pose[0] - latest[0], pose[1] - latest[1]) + inverse_3x3(information)
+
+
+@numba.njit(cache=True, nogil=True)
+def _learn_wheels(driven, first, last, variance):  # type: ignore[no-untyped-def]
+    """Lead the variance (3,) of wheels, a m of way, to how far their steps (M, 7) come from the way between two poses.
+
+    A row is a step (3,), its way, and the shares (3,) of scans in what is known of it.
+    """
+    told = driven[0, :3].copy()
+    for m in range(1, len(driven)):
+        told = compose(told, driven[m, :3])
+    off = relative(relative(first, last), told)
+    way = driven[:, 3].sum()
+    for u in range(3):
+        squared = min(max(off[u] ** 2 / way, _LEAST_WHEEL_SIGMA**2), _LARGEST_WHEEL_SIGMA**2)
+        variance[u] += driven[:, 4 + u].min() * (squared - variance[u]) / _WHEEL_MEMORY
 
 
 @numba.njit(cache=True, nogil=True)
