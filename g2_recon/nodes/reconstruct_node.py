@@ -273,6 +273,9 @@ class ReconstructNode(StageNode[ReconstructParameters]):
 
     def _on_progress(self, stage: str, done: int, total: int) -> None:
         self._stage = f"{stage} {done} of {total}"
+        if done == total:
+            # What a stage leaves would else be there beside what the next one takes.
+            give_back_memory()
         if not self.context.ok():
             raise ExternalShutdownException
 
