@@ -116,10 +116,14 @@ def test_no_scan_is_lost(live):
     recorded = Counter(message.topic.lstrip("/") for message in messages(BAG))
     status = live.status
     assert int(status["/localizer_node"]["localized scans"]) == recorded["scan"]
-    assert int(status["/registrar_node"]["registered scans"]) == recorded["scan_vertical"]
+    registered = int(status["/registrar_node"]["registered scans"])
+    # In a room that it has just left the robot sees hardly anything new.
+    not_needed = int(status["/registrar_node"]["scans of what was known that were not needed"])
+    assert registered + not_needed == recorded["scan_vertical"]
+    assert not_needed < 0.05 * recorded["scan_vertical"]
     # Each as it comes, and those that the localizer moved once more.
     anew = int(status["/registrar_node"]["pieces placed anew"])
-    assert int(status["/reconstruct_node"]["received cloud"]) == recorded["scan_vertical"] + anew
+    assert int(status["/reconstruct_node"]["received cloud"]) == registered + anew
 
 
 def test_nothing_is_dropped(live):
