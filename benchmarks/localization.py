@@ -51,6 +51,7 @@ from g2_recon.localization.tracking import Tracker
 from g2_recon.recording.recordings import read_recording
 from g2_recon.recording.trajectories import read_tum
 from g2_recon.simulation.simulator import simulate
+from g2_recon.switching import switching_soon
 from g2_recon.warm_up import warm_up_localization
 
 Float = NDArray[np.float64]
@@ -310,15 +311,16 @@ def live(recording: Recording, settings: LocalizationConfig, *, period: float = 
     found = []
     seconds = 0.0
     due = time.perf_counter()
-    for index, scan in enumerate(recording.scans):
-        time.sleep(max(0.0, due - time.perf_counter()))
-        started = time.perf_counter()
-        found.append(localizer.process(scan, odometry[index]))
-        done = time.perf_counter()
-        seconds += done - started
-        # One that had to wait for those before it is late by that, too.
-        milliseconds[index] = 1000 * (done - due)
-        due = due + period if period else done
+    with switching_soon():
+        for index, scan in enumerate(recording.scans):
+            time.sleep(max(0.0, due - time.perf_counter()))
+            started = time.perf_counter()
+            found.append(localizer.process(scan, odometry[index]))
+            done = time.perf_counter()
+            seconds += done - started
+            # One that had to wait for those before it is late by that, too.
+            milliseconds[index] = 1000 * (done - due)
+            due = due + period if period else done
     return Live(
         np.array([scan.stamp for scan in found]),
         milliseconds,

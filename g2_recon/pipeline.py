@@ -42,6 +42,7 @@ from g2_recon.registration.calibration import calibrate as estimate_mounting_pos
 from g2_recon.registration.registrar import Registrar
 from g2_recon.registration.sweep_assembler import SweepAssembler
 from g2_recon.registration.sweep_merger import PlacedSweep, SweepMerger
+from g2_recon.switching import switching_soon
 
 Float = NDArray[np.float64]
 
@@ -141,11 +142,12 @@ def map_recording(recording: Recording, settings: LocalizationConfig, *, progres
     grid = KeyframeGrid(settings, T_base_laser)
     if session is not None:
         grid.add_session(session)
-    for index, scan in enumerate(recording.scans):
-        if localizer.process(scan, odometry[index]).keyframe:
-            grid.add(scan)
-        if index % 64 == 0 or index + 1 == len(recording.scans):
-            progress("localization", index + 1, len(recording.scans))
+    with switching_soon():
+        for index, scan in enumerate(recording.scans):
+            if localizer.process(scan, odometry[index]).keyframe:
+                grid.add(scan)
+            if index % 64 == 0 or index + 1 == len(recording.scans):
+                progress("localization", index + 1, len(recording.scans))
     if not len(grid):
         raise InputError(
             f"none of the {len(recording.scans)} horizontal scans has enough beams on surfaces to start a map",

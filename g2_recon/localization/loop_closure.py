@@ -10,7 +10,6 @@ direction in which the place repeats itself, and must agree with the graph of al
 
 from __future__ import annotations
 
-import heapq
 import math
 from dataclasses import dataclass, replace
 
@@ -101,6 +100,8 @@ class LoopCloser:
         self._scales, self._shown = np.ones(2), _SHOWN_BEFORE * np.eye(2)
         self._pair_sigma = 0.0
         self.loops: list[tuple[int, int, Float, Float]] = []
+        # The same as arrays, as far as they have been asked for.
+        self._steps_known = self._loops_known = _measured([])
         # Pyramids of local maps, of their lowest level only.
         self._grounds: dict[int, Pyramid] = {}
         self._cost = 0.0
@@ -177,6 +178,7 @@ class LoopCloser:
             (a, b, se2.relative(self.poses[a], self.poses[b]), known)
             for (a, b), known in zip(pairs.tolist(), information, strict=True)
         ]
+        self._steps_known = self._loops_known = _measured([])
         self._cost = 0.0
 
     def carry(self, first: int, step: Float) -> None:
@@ -188,6 +190,7 @@ class LoopCloser:
                 information = np.diag([1 / _KNOWN_SIGMA_M**2] * 2 + [1 / _KNOWN_SIGMA_RAD**2])
                 self._sequence[c - 1] = (se2.relative(self.poses[c - 1], self.poses[c]), information)
                 self._drifts[c - 1] = np.linalg.inv(information)
+        self._steps_known = _measured([])
 
     def carried_along(self, poses: Float, before: Float, broken: NDArray[np.bool_]) -> Float:
         """Poses (N, 3) of all keyframes, moved as the local maps were from their poses (C, 3) before.
@@ -244,29 +247,8 @@ class LoopCloser:
 
     def _ways(self, c: int) -> Float:
         """Shortest way (C,) in m along the graph from local map c to the earlier ones."""
-        ways = np.array([m.way for m in self.maps])
-        steps = np.diff(ways)
-        beside: dict[int, list[tuple[int, float]]] = {}
-        for a, b, _, _ in self.loops:
-            beside.setdefault(a, []).append((b, _LOOP_WAY_M))
-            beside.setdefault(b, []).append((a, _LOOP_WAY_M))
-        far = np.full(len(self.maps), np.inf)
-        far[c] = 0.0
-        heap = [(0.0, c)]
-        while heap:
-            d, u = heapq.heappop(heap)
-            if d > far[u]:
-                continue
-            near = beside.get(u, [])
-            if u:
-                near = [*near, (u - 1, steps[u - 1])]
-            if u + 1 < len(self.maps):
-                near = [*near, (u + 1, steps[u])]
-            for v, length in near:
-                if v <= c and d + length < far[v]:
-                    far[v] = d + length
-                    heapq.heappush(heap, (d + length, v))
-        return far
+        loops = self._edges([])[len(self._sequence) :]
+        return np.asarray(_shortest_ways(np.array([m.way for m in self.maps]), loops.first, loops.second, c))
 
     def close(self, c: int, *, wide: bool = True) -> int:
         """Look for local map c among the earlier ones; how many loops were closed."""
@@ -351,13 +333,14 @@ class LoopCloser:
         return T, information
 
     def _edges(self, extra: list[tuple[int, int, Float, Float]]) -> pose_graph.Edges:
-        loops = [*self.loops, *extra]
-        n = len(self._sequence)
-        first = np.array([*range(1, n + 1), *[b for _, b, _, _ in loops]], np.int64)
-        second = np.array([*range(n), *[a for a, _, _, _ in loops]], np.int64)
-        T = np.array([*[s[0] for s in self._sequence], *[loop[2] for loop in loops]]).reshape(-1, 3)
-        information = np.array([*[s[1] for s in self._sequence], *[loop[3] for loop in loops]]).reshape(-1, 3, 3)
-        return pose_graph.measured(first, second, T, information)
+        """Those of the sequence, of the loops, and extra ones."""
+        steps, loops = len(self._steps_known), len(self._loops_known)
+        if steps < len(self._sequence):
+            new = [(k, k + 1, *step) for k, step in enumerate(self._sequence[steps:], start=steps)]
+            self._steps_known = pose_graph.joined(self._steps_known, _measured(new))
+        if loops < len(self.loops):
+            self._loops_known = pose_graph.joined(self._loops_known, _measured(self.loops[loops:]))
+        return pose_graph.joined(self._steps_known, self._loops_known, _measured(extra))
 
     def _accept(self, j: int, c: int, T: Float, information: Float, *, learn: bool = True) -> bool:
         """Believe a loop if the graph with it, the loop itself not doubted, costs little more than without.
@@ -452,9 +435,47 @@ class LoopCloser:
         return pose_graph.covariance(self.poses, edges, weights, wanted)
 
 
+def _measured(edges: list[tuple[int, int, Float, Float]]) -> pose_graph.Edges:
+    """Edges T_a_b with their information, given as a, b, T_a_b (3,), and the latter (3, 3)."""
+    return pose_graph.measured(
+        np.array([b for _, b, _, _ in edges], np.int64),
+        np.array([a for a, _, _, _ in edges], np.int64),
+        np.array([T for _, _, T, _ in edges]).reshape(-1, 3),
+        np.array([information for _, _, _, information in edges]).reshape(-1, 3, 3),
+    )
+
+
 def _doubted(squared: Float, robust: NDArray[np.bool_]) -> Float:
     """Weights (M,) of edges with squared deviations (M,): less than 1 where they are robust, by Geman and McClure."""
     return np.where(robust, (_KERNEL / (_KERNEL + squared)) ** 2, 1.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _shortest_ways(ways, first, second, c):  # type: ignore[no-untyped-def]
+    """Shortest way (C,) in m from local map c to the earlier ones, of which ways (C,) m had been driven, over loops.
+
+    Back and forth along the way, then over all loops, until nothing gets shorter (Bellman and Ford).
+    """
+    far = np.full(len(ways), np.inf)
+    far[c] = 0.0
+    shorter = True
+    while shorter:
+        shorter = False
+        for k in range(c, 0, -1):
+            far[k - 1] = min(far[k - 1], far[k] + (ways[k] - ways[k - 1]))
+        for k in range(1, c + 1):
+            far[k] = min(far[k], far[k - 1] + (ways[k] - ways[k - 1]))
+        for m in range(len(first)):
+            one, other = first[m], second[m]
+            if max(one, other) > c:
+                continue
+            if far[one] + _LOOP_WAY_M < far[other]:
+                far[other] = far[one] + _LOOP_WAY_M
+                shorter = True
+            elif far[other] + _LOOP_WAY_M < far[one]:
+                far[one] = far[other] + _LOOP_WAY_M
+                shorter = True
+    return far
 
 
 @numba.njit(cache=True, nogil=True)

@@ -170,7 +170,14 @@ def _factorized(poses: Float, edges: Edges, weights: Float, held: int) -> tuple[
     matrix = sparse.coo_matrix(
         (blocks.ravel(), (np.repeat(rows, 6, axis=1).ravel(), np.tile(rows, (1, 6)).ravel())),
         shape=(3 * count, 3 * count),
-    ).tocsc() + sparse.diags(diagonal, format="csc")
+    ).tocsc()
+    columns = np.repeat(np.arange(3 * count, dtype=np.int32), np.diff(matrix.indptr))
+    on_diagonal = matrix.indices == columns
+    if np.count_nonzero(on_diagonal) == 3 * count:
+        # Several times as fast as the sum of two matrices.
+        matrix.data[on_diagonal] += diagonal
+    else:
+        matrix = matrix + sparse.diags(diagonal, format="csc")
     right = np.bincount(rows.ravel(), pulls.ravel(), 3 * count)
     factors = sparse_linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
     return factors, np.asarray(right, float), squared

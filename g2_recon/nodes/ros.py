@@ -25,6 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from g2_recon.errors import G2ReconError
 from g2_recon.nodes import conversions
+from g2_recon.switching import switch_soon
 
 
 def _if_installed(name: str) -> Any | None:
@@ -102,6 +103,7 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threa
     nodes: list[Node] = []
     executor: Executor | None = None
     say_when_kernels_compile()
+    switch_soon()
     try:
         nodes.extend(make() for make in create)
         executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
