@@ -179,7 +179,9 @@ def _factorized(poses: Float, edges: Edges, weights: Float, held: int) -> tuple[
     else:
         matrix = matrix + sparse.diags(diagonal, format="csc")
     right = np.bincount(rows.ravel(), pulls.ravel(), 3 * count)
-    factors = sparse_linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    # What is positive definite needs no pivots; looking for some would undo the order that keeps the factors sparse.
+    symmetric = {"SymmetricMode": True}
+    factors = sparse_linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
     return factors, np.asarray(right, float), squared
 
 
