@@ -49,6 +49,12 @@ def inverse(T_a_b: Float) -> Float:
 
 
 @numba.njit(cache=True, nogil=True)
+def is_within(change: Float, most: Float) -> bool:
+    """Whether no component of a change (3,) is larger than allowed (3,)."""
+    return bool(abs(change[0]) <= most[0] and abs(change[1]) <= most[1] and abs(change[2]) <= most[2])
+
+
+@numba.njit(cache=True, nogil=True)
 def carried(covariance: Float, x: float, y: float) -> Float:
     """Covariance (3, 3) of a pose that is rigidly connected, x, y away, to one with the given covariance (3, 3)."""
     lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])

@@ -20,7 +20,7 @@ from g2_recon.config import LocalizationConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.se2_kernels import compose, inverse_3x3, relative
+from g2_recon.geometry.se2_kernels import compose, inverse_3x3, is_within, relative
 from g2_recon.geometry.session import LastScan, ScanPoses, Session, SessionGrowth
 from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
@@ -116,8 +116,6 @@ class Localizer:
         self._last: Float = self._start
         self._stamp = -math.inf
         self._twist: Float = np.zeros(3)
-        # The direction (2,) in the map along which corners have told where the last scan is, if they have.
-        self._corners: Float | None = None
         self._lost = 0
         self._uncertainty = Uncertainty(self._keyframes)
         self.unmatched = 0
@@ -156,8 +154,7 @@ class Localizer:
         self._stamp = scan.stamp
         self._wheels_since = compose(self._wheels_since, _UNKNOWN if step is None or placement.wheels_err else step)
         self._last = placement.pose
-        self._corners = self._told_by_corners(placement) if step is None else None
-        keyframe = self._grow_map(seen, placement)
+        keyframe = self._grow_map(seen, placement, step)
         self._remember(scan.stamp, seen, placement.pose, keyframe=keyframe)
         # A loop that was closed moves the present pose, too.
         if keyframe and self._close_loops():
@@ -176,7 +173,7 @@ class Localizer:
         if step is None:
             return self._twist
         wheels = _velocity(step, elapsed)
-        return wheels if _is_within(wheels - self._twist, _MOST_SUDDEN) else self._twist
+        return wheels if is_within(wheels - self._twist, _MOST_SUDDEN) else self._twist
 
     def _place(self, seen: Beams, step: Float | None) -> Placement:
         if self._segment_is_empty:
@@ -188,7 +185,7 @@ class Localizer:
         self.unmatched += not placement.matched
         return placement
 
-    def _grow_map(self, seen: Beams, placement: Placement) -> bool:
+    def _grow_map(self, seen: Beams, placement: Placement, step: Float | None) -> bool:
         """Add the scan if the robot has moved on since the last keyframe; a rejected match would blur the map."""
         if self._segment_is_empty:
             if placement.matched:
@@ -206,7 +203,8 @@ class Localizer:
             return True
         if not placement.matched or (way < self._config.keyframe_distance and turn < self._config.keyframe_angle):
             return False
-        self._add_keyframe(seen, placement.pose, way + WAY_PER_RAD * turn, broken=False)
+        corners = self._told_by_corners(placement) if step is None else None
+        self._add_keyframe(seen, placement.pose, way + WAY_PER_RAD * turn, broken=False, corners=corners)
         return True
 
     def _told_by_corners(self, placement: Placement) -> Float | None:
@@ -218,7 +216,9 @@ class Localizer:
         values, vectors = np.linalg.eigh(beyond)
         return np.asarray(vectors[:, 1]) if values[1] - values[0] > _LEAST_BY_CORNERS else None
 
-    def _add_keyframe(self, seen: Beams, pose: Float, way: float, *, broken: bool) -> None:
+    def _add_keyframe(
+        self, seen: Beams, pose: Float, way: float, *, broken: bool, corners: Float | None = None
+    ) -> None:
         self._keyframes.add(seen, pose)
         self._keyframe_stamps.append(self._stamp)
         self._wheel_steps.append(self._wheels_since)
@@ -227,7 +227,7 @@ class Localizer:
         self._broken.append(broken)
         self._smoother.add(self._wheel_steps[-1], self._tracker.segment)
         edges, wheels = self._smoother.latest(), self._wheel_steps[-1]
-        self._uncertainty.add(edges, wheels=wheels, broken=broken, corners=self._corners)
+        self._uncertainty.add(edges, wheels=wheels, broken=broken, corners=corners)
         self._tracker.pair_sigma = self._uncertainty.pair_sigma
         self._tracker.moved()
         self._last = self._keyframes.poses[-1].copy()
@@ -563,9 +563,3 @@ def _velocity(step, elapsed):  # type: ignore[no-untyped-def]
         for u in range(3):
             velocity[u] = min(max(step[u] / elapsed, -_FASTEST[u]), _FASTEST[u])
     return velocity
-
-
-@numba.njit(cache=True, nogil=True)
-def _is_within(change, most):  # type: ignore[no-untyped-def]
-    """Whether no component of a change (3,) is larger than allowed (3,)."""
-    return abs(change[0]) <= most[0] and abs(change[1]) <= most[1] and abs(change[2]) <= most[2]

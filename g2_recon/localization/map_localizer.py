@@ -220,7 +220,7 @@ class MapLocalizer(Localizer):
         assert self._map is not None
         return self._map
 
-    def _grow_map(self, seen: Beams, placement: Placement) -> bool:
+    def _grow_map(self, seen: Beams, placement: Placement, step: Float | None) -> bool:
         return False
 
     def _covariance(self, placement: Placement) -> Float:

@@ -9,7 +9,7 @@ import math
 import numba
 import numpy as np
 
-from g2_recon.geometry.se2_kernels import relative
+from g2_recon.geometry.se2_kernels import is_within, relative
 from g2_recon.localization.likelihood import slide, telling
 from g2_recon.localization.pairing import PAIR_SIGMA_M, agreements, match
 
@@ -43,8 +43,7 @@ def wheel_sigma(step):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True)
 def is_near(pose, guess, most, times):  # type: ignore[no-untyped-def]
     """Whether a pose (3,) is no farther from a guess than so many times `most` (3,), m and rad."""
-    off = relative(guess, pose)
-    return abs(off[0]) <= times * most[0] and abs(off[1]) <= times * most[1] and abs(off[2]) <= times * most[2]
+    return is_within(relative(guess, pose), times * most)
 
 
 @numba.njit(cache=True, nogil=True)
