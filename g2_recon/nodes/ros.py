@@ -106,10 +106,11 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threa
     say_when_kernels_compile()
     switch_soon()
     try:
+        # Before the nodes, which take a while: rclpy complains of an executor made when a signal has ended its context.
+        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
         nodes.extend(make() for make in create)
         # What was imported stays: to look through it again and again for garbage would hold all threads for 0.1 s.
         gc.freeze()
-        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
         for node in nodes:
             executor.add_node(node)
         finished = next((node.finished for node in nodes if hasattr(node, "finished")), None)
