@@ -4,15 +4,17 @@
 
 from __future__ import annotations
 
+import math
+
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 Float = NDArray[np.float64]
 
-# The points of so many keyframes are placed and thinned at once: those of a long way would take far more memory than
-# the map.
-_PLACED_AT_ONCE = 128
+# A table of cells begins with so many places, a power of two, and a place without a cell holds this.
+_PLACES, _NOTHING = 1024, -(1 << 63)
 
 
 class PointMap:
@@ -69,30 +71,74 @@ class PointMap:
         return self._local[np.minimum(index, len(self._local) - 1)], distance
 
 
-def first_in_each_cell(points: Float, size: float) -> NDArray[np.intp]:
+@numba.njit(cache=True, nogil=True)
+def first_in_each_cell(points, size):  # type: ignore[no-untyped-def]
     """Indices, in order, of the first of the points (N, 2) in each square cell of `size` metres."""
-    cell = np.floor(points / size).astype(np.int64)
-    # One number a cell, which sorts much faster than two; it is unique up to 2^31 cells from the origin.
-    return np.sort(np.unique((cell[:, 0] << 32) ^ (cell[:, 1] & 0xFFFFFFFF), return_index=True)[1])
+    first, found = np.empty(len(points), np.int64), 0
+    table = np.full(_PLACES, _NOTHING, np.int64)
+    for row in range(len(points)):
+        new, table = _taken(table, found, _cell(points[row, 0], points[row, 1], size))
+        if new:
+            first[found] = row
+            found += 1
+    return first[:found].copy()
 
 
-def map_of_keyframes(poses: Float, points: NDArray[np.float32], kinds: NDArray[np.uint8], spacing: float) -> Float:
+@numba.njit(cache=True, nogil=True)
+def map_of_keyframes(poses, points, kinds, spacing):  # type: ignore[no-untyped-def]
     """The points (N, 2) of keyframes at T_map_laser (K, 3), whose beams are (K, B, 2) and (K, B), thinned to a spacing.
 
     A beam of kind 0 is no measurement.
     """
-    clouds: list[Float] = [np.empty((0, 2))]
-    for begin in range(0, len(poses), _PLACED_AT_ONCE):
-        some = slice(begin, begin + _PLACED_AT_ONCE)
-        cloud = _placed(poses[some], points[some], kinds[some])
-        clouds.append(cloud[first_in_each_cell(cloud, spacing)])
-    joined = np.concatenate(clouds)
-    return joined[first_in_each_cell(joined, spacing)]
+    thinned, found = np.empty((_PLACES, 2)), 0
+    table = np.full(_PLACES, _NOTHING, np.int64)
+    for k in range(len(poses)):
+        cos, sin = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        for beam in range(kinds.shape[1]):
+            if kinds[k, beam] == 0:
+                continue
+            x, y = float(points[k, beam, 0]), float(points[k, beam, 1])
+            x, y = poses[k, 0] + cos * x - sin * y, poses[k, 1] + sin * x + cos * y
+            new, table = _taken(table, found, _cell(x, y, spacing))
+            if not new:
+                continue
+            if found == len(thinned):
+                grown = np.empty((2 * found, 2))
+                grown[:found] = thinned
+                thinned = grown
+            thinned[found, 0], thinned[found, 1] = x, y
+            found += 1
+    return thinned[:found].copy()
 
 
-def _placed(poses: Float, points: NDArray[np.float32], kinds: NDArray[np.uint8]) -> Float:
-    """The points (N, 2) of keyframes in the map."""
-    keyframe, beam = np.nonzero(kinds)
-    x, y = points[keyframe, beam].T.astype(float)
-    at_x, at_y, cos, sin = (each[keyframe] for each in (*poses[:, :2].T, np.cos(poses[:, 2]), np.sin(poses[:, 2])))
-    return np.column_stack([at_x + cos * x - sin * y, at_y + sin * x + cos * y])
+@numba.njit(cache=True, nogil=True)
+def _cell(x, y, size):  # type: ignore[no-untyped-def]
+    """One number for the cell of a point; it is unique up to 2^31 cells from the origin."""
+    return (math.floor(x / size) << 32) ^ (math.floor(y / size) & 0xFFFFFFFF)
+
+
+@numba.njit(cache=True, nogil=True)
+def _taken(table, count, cell):  # type: ignore[no-untyped-def]
+    """Whether a cell is new in a table that holds so many, and the table with it, which may be a larger one."""
+    place = _place(table, cell)
+    if table[place] == cell:
+        return False, table
+    table[place] = cell
+    if 2 * count < len(table):
+        return True, table
+    larger = np.full(4 * len(table), _NOTHING, np.int64)
+    for known in table:
+        if known != _NOTHING:
+            larger[_place(larger, known)] = known
+    return True, larger
+
+
+@numba.njit(cache=True, nogil=True)
+def _place(table, cell):  # type: ignore[no-untyped-def]
+    """Where a cell is in a table, or would have to be."""
+    last = len(table) - 1
+    mixed = cell * -7046029254386353131  # 2^64 over the golden ratio: cells beside each other come far apart
+    place = (mixed ^ (mixed >> 29)) & last
+    while table[place] != _NOTHING and table[place] != cell:
+        place = (place + 1) & last
+    return place

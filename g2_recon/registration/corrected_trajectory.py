@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+import operator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +20,8 @@ Float = NDArray[np.float64]
 _FEWEST_ROWS = 1024
 # Keyframes whose stamps step back by more are those of a session before, which goes on.
 _ANOTHER_DRIVE_S = 1.0
+# What thinned poses keep of a way that keyframes may still come for, in m and rad.
+_STEP_M, _STEP_RAD = 0.01, 0.005
 
 
 class Poses(NamedTuple):
@@ -39,6 +43,7 @@ class CorrectedTrajectory:
 
     def __init__(self) -> None:
         self._count = 0
+        self._thin_until = -np.inf
         self._rows = Poses(np.empty(_FEWEST_ROWS), np.empty((_FEWEST_ROWS, 3)), np.empty((_FEWEST_ROWS, 4)))
         # Of keyframes: stamps, poses as they are now and as they came.
         self._keyframe_stamps: Float = np.empty(0)
@@ -87,9 +92,51 @@ class CorrectedTrajectory:
         keep = max(int(np.searchsorted(self._rows.stamps[: self._count], stamp)) - 1, 0)
         # Not each time: the others move up.
         if keep > self._count // 2:
-            self._count -= keep
-            for rows in self._rows:
-                rows[: self._count] = rows[keep : keep + self._count].copy()
+            self._keep(np.arange(self._count) >= keep)
+
+    def thin(self, until: float, spans: ArrayLike) -> None:
+        """Forget poses before `until` that `between` does not need for any of these spans (N, 2), in seconds.
+
+        Keyframes that are told later are placed by the poses around them: from the newest one on, those stay that tell
+        where the robot has moved. Poses before the `until` of the last time are not looked at again.
+        """
+        stamps = self._rows.stamps[: self._count]
+        begin, end = np.searchsorted(stamps, [self._thin_until, until])
+        if end - begin < 2:
+            return
+        self._thin_until = until
+        firsts, lasts = np.reshape(spans, (-1, 2)).T
+        begun = np.bincount(np.maximum(np.searchsorted(stamps, firsts, side="right") - 1, 0), minlength=len(stamps) + 1)
+        ended = np.bincount(np.searchsorted(stamps, lasts) + 1, minlength=len(stamps) + 2)[: len(stamps) + 1]
+        needed = np.cumsum(begun - ended)[: len(stamps)] > 0
+        needed[: begin + 1] = needed[end - 1 :] = True
+        open_from = max(begin, np.searchsorted(stamps, self._keyframe_stamps[-1:].max(initial=-np.inf)) - 1)
+        if open_from < end:
+            needed[open_from:end] |= self._moved_on(open_from, end)
+        self._keep(needed)
+
+    def _moved_on(self, begin: int, end: int) -> NDArray[np.bool_]:
+        """Which of the poses from one row to before another tell where the robot has moved since the one before."""
+        positions, quaternions = self._rows.positions[begin:end].tolist(), self._rows.quaternions[begin:end].tolist()
+        told = np.zeros(end - begin, bool)
+        at, turned = positions[0], quaternions[0]
+        for row, (position, quaternion) in enumerate(zip(positions, quaternions, strict=True)):
+            alike = abs(sum(map(operator.mul, turned, quaternion)))  # cosine of half the angle between
+            if math.dist(at, position) > _STEP_M or alike < math.cos(_STEP_RAD / 2):
+                # The one before, too: in between the robot has stood.
+                told[row - 1 : row + 1] = True
+                at, turned = position, quaternion
+        return told
+
+    def _keep(self, which: NDArray[np.bool_]) -> None:
+        """Forget the poses that a mask (N,) does not name."""
+        kept = [rows[: self._count][which] for rows in self._rows]
+        self._count = len(kept[0])
+        if 4 * self._count < len(self._rows.stamps):
+            size = max(_FEWEST_ROWS, 2 * self._count)
+            self._rows = Poses(np.empty(size), np.empty((size, 3)), np.empty((size, 4)))
+        for rows, some in zip(self._rows, kept, strict=True):
+            rows[: self._count] = some
 
     def follow(self, keyframes: Trajectory) -> bool:
         """Take note of where the keyframes are now; false, and nothing is changed, where they are of another map.

@@ -26,6 +26,8 @@ Float = NDArray[np.float64]
 
 # Poses are kept this long for scans that come late, as messages of two lasers overtake each other.
 _POSES_KEPT_S = 2.0
+# Poses older than this are kept only where scans are, and looked through as often.
+_ALL_POSES_KEPT_S = 60.0
 # A piece has so many beams at most, so that it is quickly placed anew and handed on as one message.
 _MOST_BEAMS = 3000
 # Of so many latest scans the stamps are known, to tell when one comes again.
@@ -60,7 +62,7 @@ class Registrar:
 
     With `keep_scans` the cloud follows the localizer: `follow` tells where its keyframes are now, and `renew` hands out
     anew, piece by piece, what has moved. A piece is the scans between two calls of `follow`, or fewer. It takes memory
-    for each scan, up to `kept_scans`, and 64 bytes for each pose. While the robot stands, `standing_scans` are enough,
+    for each scan, up to `kept_scans`, and for the poses around it. While the robot stands, `standing_scans` are enough,
     and of what it sees again, scans of which a share of `new_points` lies where there was nothing; others are not
     handed out, and counted as `redundant`.
     """
@@ -75,6 +77,7 @@ class Registrar:
     def reset(self) -> None:
         """Forget poses, scans and counts."""
         self._trajectory = CorrectedTrajectory()
+        self._thin_until = -np.inf
         # A heap by the time of the last beam; the count keeps scans of equal time in the order in which they came.
         self._waiting: list[tuple[float, int, Scan]] = []
         self._count = 0
@@ -226,10 +229,21 @@ class Registrar:
         if self._keep_scans:
             oldest = min([oldest, *(piece.first for piece in list(self._pieces.values())[:1])])
         trajectory.drop_before(min(oldest, trajectory.last_stamp - _POSES_KEPT_S))
+        if self._keep_scans:
+            waiting = self._waiting[0][2].stamp if self._waiting else np.inf
+            self._thin_poses(min(trajectory.last_stamp, waiting) - _ALL_POSES_KEPT_S)
+
+    def _thin_poses(self, until: float) -> None:
+        """Keep poses before a time only where scans are that may be placed anew."""
+        if until < self._thin_until + _ALL_POSES_KEPT_S:
+            return
+        recent = [piece for piece in self._pieces.values() if piece.last >= self._thin_until]
+        self._trajectory.thin(until, [_span(scan) for piece in recent for scan in piece.scans])
+        self._thin_until = until
 
     def _register(self, scan: Scan) -> None:
         """Place a scan and hand it out, or count why it cannot be placed."""
-        first, last = sorted((scan.stamp, scan.stamp + scan.time_increment * (len(scan.ranges) - 1)))
+        first, last = _span(scan)
         poses = self._trajectory.between(first, last)
         placed = self._place(scan, poses)
         if not isinstance(placed, Cloud):
@@ -317,3 +331,9 @@ class Registrar:
     @staticmethod
     def _thinned(cloud: Cloud, voxels: VoxelFilter | None) -> Cloud:
         return cloud if voxels is None else cloud.select(voxels.first(cloud.points))
+
+
+def _span(scan: Scan) -> tuple[float, float]:
+    """When the first and the last of its beams were measured, s."""
+    stamps = scan.stamp, scan.stamp + scan.time_increment * (len(scan.ranges) - 1)
+    return min(stamps), max(stamps)

@@ -125,3 +125,47 @@ def test_the_way_is_that_of_the_localizer_after_a_closed_loop():
     # In m: between two keyframes it is a step there and spread here, over one of 25.
     assert np.abs(off[:, :2]).max() < correction / 20
     assert correction > 0.1
+
+
+def test_thinned_poses_say_the_same_in_the_spans_that_are_kept(straight):
+    moved = path([(0, 0, 0), (1, 0.3, 0), (2, 0.5, 0), (3, 0.4, 0)], [0, 1, 2, 3])
+    straight.follow(moved)
+    spans = [(0.55, 0.62), (0.6, 0.85), (1.72, 1.73)]
+    before = [planar(straight, *span) for span in spans]
+    straight.thin(2.5, spans)
+    # 0, 0.5 to 0.9, 1.7, 1.8 and all from the last one before 2.5 s on.
+    assert len(straight) == 1 + 5 + 2 + 7
+    for span, known in zip(spans, before, strict=True):
+        assert planar(straight, *span) == pytest.approx(known, abs=0)
+    assert planar(straight, 2.45, 3)[:, 0] == pytest.approx(np.arange(24, 31) / 10)
+    # What was thinned once is let alone; of what came since, the ends stay.
+    straight.thin(2.85, [])
+    assert len(straight) == 15 - 2
+
+
+def test_thinned_poses_still_place_keyframes_that_are_told_late():
+    """It stands for a minute, drives round a bend, stands again."""
+    rng = np.random.default_rng(0)
+    share = np.clip(np.arange(1200) / 10 - 60, 0, 20) / 20
+    way = np.column_stack([4 * share, np.sin(3 * share), share]) + rng.normal(0, [0.001, 0.001, 0.0005], (1200, 3))
+    whole, thinned = CorrectedTrajectory(), CorrectedTrajectory()
+    for step, pose in enumerate(way):
+        whole.add(0.1 * step, se3.from_se2(pose))
+        thinned.add(0.1 * step, se3.from_se2(pose))
+    for until in range(10, 120, 10):
+        thinned.thin(until, [(70.0, 70.1)])
+    # 200 of the drive, 100 that are not looked at yet, and few of the 900 while it stood.
+    assert len(thinned) < 330
+    keyframes = path(way[::7], 0.7 * np.arange(len(way[::7])))
+    keyframes.positions[:] += (0.5, 0.7, 0)
+    assert whole.follow(keyframes) and thinned.follow(keyframes)
+    assert planar(thinned, 70.0, 70.1)[:, :2] == pytest.approx(planar(whole, 70.0, 70.1)[:, :2], abs=0.005)
+
+
+def test_poses_of_an_hour_without_a_scan_take_no_memory():
+    trajectory = CorrectedTrajectory()
+    for step in range(36_000):
+        trajectory.add(0.1 * step, se3.from_se2([0.3, 0, 0]))
+        if step % 600 == 0:
+            trajectory.thin(0.1 * step - 60, [])
+    assert len(trajectory) < 1500

@@ -10,6 +10,7 @@ from g2_recon.geometry import se3
 from g2_recon.geometry.cloud import concatenate
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.registration import registrar as registrar_module
 from g2_recon.registration.registrar import Registrar
 from g2_recon.simulation.simulator import simulate
 
@@ -410,3 +411,34 @@ def test_scans_that_are_kept_no_more_need_not_come_again():
     drive_again(stage, 5, begin=5, keyframes=told)
     assert stage.released > 0
     assert stage.kept + stage.released == known
+
+
+def test_a_long_drive_is_placed_anew_with_the_poses_around_its_scans(monkeypatch):
+    """Ten minutes, half of them standing, then the keyframes are moved: as if all poses had been kept."""
+
+    def driven_long():
+        stage = Registrar(RegistrationConfig(standing_scans=3), UP, keep_scans=True)
+        way = 0.02 * np.where(np.arange(6000) % 1000 < 500, 1.0, 0.0).cumsum()
+        keyframes = [(0.0, 0.0)]
+        for step, x in enumerate(way):
+            stage.add_pose(0.1 * step, moving(x))
+            if step % 4 == 0:
+                stage.add_scan(scan(0.1 * step + 0.03, time_increment=0.02))
+            if x > keyframes[-1][1] + 0.25:
+                keyframes.append((0.1 * step, x))
+                assert stage.follow(path([(x, 0, 0) for _, x in keyframes], [stamp for stamp, _ in keyframes]))
+        stage.take()
+        stamps, xs = np.array(keyframes).T
+        stage.follow(path(np.column_stack([xs, np.sin(xs / 10), np.cos(xs / 10) / 10]), stamps))
+        clouds = []
+        while registered := stage.renew():
+            clouds.append(registered.cloud)
+        return stage, concatenate(clouds).points
+
+    thin, points = driven_long()
+    monkeypatch.setattr(registrar_module, "_ALL_POSES_KEPT_S", np.inf)
+    whole, expected = driven_long()
+    assert len(expected) > 700
+    assert np.array_equal(points, expected)
+    assert len(thin._trajectory) < len(whole._trajectory) * 0.75
+    assert thin.drops == whole.drops == {}
