@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -49,7 +51,8 @@ class KeyframeGrid:
         self._builder = GridBuilder(
             resolution=self._config.grid_resolution, max_range=reach, free_range=min(_FREE_RANGE_M, reach)
         )
-        self._counted: list[Float] = []
+        # Of the keyframes in the counts, where they were then: x, y, yaw of each.
+        self._counted = array("d")
         self._caught_up = False
         self.left_out = 0
         self.why_left_out = ""
@@ -61,7 +64,7 @@ class KeyframeGrid:
     @property
     def counted(self) -> int:
         """How many keyframes are in the counts so far."""
-        return len(self._counted)
+        return len(self._counted) // 3
 
     def add(self, scan: Scan) -> None:
         """Keep the scan of a new keyframe; it is counted in `update`."""
@@ -73,7 +76,7 @@ class KeyframeGrid:
 
     def is_current(self, poses: ArrayLike) -> bool:
         """Whether every keyframe is counted, at T_map_base (K, 3), where it is now."""
-        return len(self._counted) == len(self._scans) and not self._have_moved(np.reshape(poses, (-1, 3)))
+        return self.counted == len(self._scans) and not self._have_moved(np.reshape(poses, (-1, 3)))
 
     def update(self, poses: ArrayLike, *, most: int | None = None) -> bool:
         """Count keyframes, of which T_map_base is (K, 3) now; whether all are counted.
@@ -85,7 +88,7 @@ class KeyframeGrid:
         places = np.reshape(poses, (-1, 3))
         if (most is None or self._caught_up) and self._have_moved(places):
             self._start_over()
-        begin = len(self._counted)
+        begin = self.counted
         end = len(self._scans) if most is None else min(len(self._scans), begin + most)
         for place, scan in zip(places[begin:end], self._scans[begin:end], strict=True):
             self._count(place, scan)
@@ -93,8 +96,7 @@ class KeyframeGrid:
         return self._caught_up
 
     def _count(self, place: Float, scan: Scan) -> None:
-        # A row that is no copy would keep the poses of all keyframes.
-        self._counted.append(place.copy())
+        self._counted.extend(place)
         try:
             self._builder.add(
                 compose(place, self._T_base_laser),

@@ -7,6 +7,7 @@ from __future__ import annotations
 import array
 import math
 import struct
+import sys
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -93,7 +94,8 @@ def scan_from_message(message: LaserScan) -> Scan:
         range_min=message.range_min,
         range_max=message.range_max,
         time_increment=message.time_increment,
-        frame_id=message.header.frame_id,
+        # Of the many scans that are kept all have the same, which each message brings once more.
+        frame_id=sys.intern(message.header.frame_id),
     )
 
 
