@@ -48,11 +48,11 @@ from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.methods import make_localizer
 from g2_recon.localization.occupancy import GridBuilder
 from g2_recon.localization.tracking import Tracker
+from g2_recon.localization.warm_up import warm_up_localization
 from g2_recon.recording.recordings import read_recording
 from g2_recon.recording.trajectories import read_tum
 from g2_recon.simulation.simulator import simulate
 from g2_recon.switching import switching_soon
-from g2_recon.warm_up import warm_up_localization
 
 Float = NDArray[np.float64]
 

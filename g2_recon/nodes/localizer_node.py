@@ -24,13 +24,14 @@ from sensor_msgs.msg import LaserScan
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.trajectory import PoseBuffer
+from g2_recon.geometry.trajectory import PoseBuffer, Trajectory
 from g2_recon.localization.localized_scan import LocalizedScan
 from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import AnyLocalizer, make_localizer
 from g2_recon.localization.paper import PaperLocalizer
 from g2_recon.localization.resumed import ResumedLocalizer
+from g2_recon.localization.warm_up import warm_up_tracking
 from g2_recon.localization.wheel_check import WheelCheck
 from g2_recon.nodes import conversions
 from g2_recon.nodes.keyframes import KeyframeSender
@@ -97,7 +98,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self._refinement_awaited: list[Future] = []
         self._journal = self._open_journal()
         if self.settings.method == "graph":
-            self.compile_beside(*(() if self.settings.map else ("tracking",)), "localization")
+            self.compile_beside(*(() if self.settings.map else ("tracking",)), "localization", load=_load)
         self._connect()
 
     def _open_journal(self) -> LocalizerJournal:
@@ -411,6 +412,12 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             write_session(folder / "session.npz", session)
             wrote += f", session.npz ({len(session)} keyframes)"
         return f"wrote {wrote} to {folder}"
+
+
+def _load() -> None:
+    """Run once what the first scans need: some tenths of a second, for which they would wait."""
+    warm_up_tracking()
+    Trajectory.from_se2(np.arange(2.0), np.zeros((2, 3))).interpolate([0.5])
 
 
 def _weak_axis(scan: LocalizedScan) -> str:

@@ -40,9 +40,6 @@ def _if_installed(name: str) -> Any | None:
 tf2_ros: Any = _if_installed("tf2_ros")
 tf2_msgs: Any = _if_installed("tf2_msgs.msg")
 
-# Of a thread that has no deadline, beside those that have: a tenth of the share.
-_YIELDING = 10
-
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Maps and meshes: whoever comes late gets the last one (REP-2003)."""
 
@@ -139,10 +136,10 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threa
 
 
 def yield_processor() -> None:
-    """Let this thread, and those that it starts, have a processor only as far as others do not want it (Linux)."""
+    """Let this thread, and those that it starts, have a processor only while nobody else wants it (Linux)."""
     if sys.platform == "linux":
         with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _YIELDING)
+            os.sched_setscheduler(threading.get_native_id(), os.SCHED_IDLE, os.sched_param(0))
 
 
 class RobotTransforms:

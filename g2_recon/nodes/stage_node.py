@@ -12,6 +12,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from pathlib import Path
+from threading import Thread
 from time import monotonic
 from typing import Any, Generic, TypeVar
 
@@ -65,6 +66,7 @@ class StageNode(Node, Generic[Settings]):
         self._said: set[str] = set()
         # What came while kernels are compiled, with what takes it; None once nothing is held any more.
         self._compiler: KernelCompiler | None = None
+        self._loading: Thread | None = None
         self._held: deque[tuple[Input, Callable[[Any], None], Any]] | None = None
         self._held_for = ""
         self._lasting: Counter[str] = Counter()
@@ -112,13 +114,17 @@ class StageNode(Node, Generic[Settings]):
 
         self.create_subscription(kind, topic, receive, qos, event_callbacks=source.events(), raw=raw)
 
-    def compile_beside(self, *parts: str, hold: bool = True) -> None:
+    def compile_beside(self, *parts: str, hold: bool = True, load: Callable[[], None] | None = None) -> None:
         """Where this is the first time ever, compile kernels (see g2_recon.warm_up) in a process beside the node.
 
-        hold: messages wait, in their order, until the first of the parts is compiled.
+        hold: messages wait, in their order, until the first of the parts is compiled. load: runs those that are
+        compiled, in a thread beside, as the first message would else wait until they have come from the disk.
         """
         self._compiler = KernelCompiler(parts)
         if not self._compiler.parts_left():
+            if load is not None:
+                self._loading = Thread(target=load, name="loading kernels")
+                self._loading.start()
             return
         self.get_logger().warning(
             "compiling kernels, this first time ever: work begins in half a minute or more, and what comes until then "
@@ -134,9 +140,11 @@ class StageNode(Node, Generic[Settings]):
         return () if self._compiler is None else self._compiler.parts_left()
 
     def destroy_node(self) -> None:
-        """End the compiler beside."""
+        """End what goes on beside."""
         if self._compiler is not None:
             self._compiler.close()
+        if self._loading is not None:
+            self._loading.join()
         super().destroy_node()
 
     def _look_at_compiler(self) -> None:

@@ -86,6 +86,29 @@ def test_where_all_kernels_are_on_the_disk_none_is_compiled(monkeypatch):
     assert not compiler.parts_left()
 
 
+def test_kernels_on_the_disk_are_loaded_before_the_first_scan(ros):
+    code = """
+import rclpy
+from g2_recon.localization import tracking_kernels
+from g2_recon.nodes.localizer_node import LocalizerNode
+rclpy.init()
+node = LocalizerNode()
+node._loading.join()
+print(len(tracking_kernels.match_on_latest.overloads))
+node.destroy_node()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert done.stdout == "1\n", done
+
+
+def test_where_kernels_are_compiled_beside_nothing_waits_to_load_them(ros, monkeypatch):
+    monkeypatch.setattr(stage_node, "KernelCompiler", Compiler)
+    node = ros(*MOUNTED).add(LocalizerNode)
+    assert node._loading is None
+
+
 def test_each_part_can_be_compiled_and_is_not_on_an_empty_disk(tmp_path):
     assert set(kernels._LATE) == set(warm_up.PARTS)
     code = """

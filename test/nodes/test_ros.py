@@ -11,24 +11,24 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from g2_recon.nodes.ros import yield_processor
 
 
-def niceness():
-    return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+def policy():
+    return os.sched_getscheduler(threading.get_native_id())
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="threads have no niceness of their own elsewhere")
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have no policy of their own elsewhere")
 def test_a_thread_that_yields_takes_the_threads_that_it_starts_with_it_and_no_others():
     seen = []
 
     def work():
         yield_processor()
-        seen.append(niceness())
-        child = threading.Thread(target=lambda: seen.append(niceness()))
+        seen.append(policy())
+        child = threading.Thread(target=lambda: seen.append(policy()))
         child.start()
         child.join()
 
-    before = niceness()
+    before = policy()
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert seen[0] == seen[1] > before
-    assert niceness() == before
+    assert seen == [os.SCHED_IDLE, os.SCHED_IDLE]
+    assert policy() == before != os.SCHED_IDLE
