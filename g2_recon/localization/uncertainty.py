@@ -106,7 +106,9 @@ class Uncertainty:
             return np.asarray(inverse_3x3(otherwise))
         self._learn(edges)
         share = self._variance / _ALIKE_SIGMA_M**2
-        covariance, scans = _added(edges.hessians, edges.T[:, 2], otherwise, share * self._variance)
+        # A copy, as a column of one row is laid out otherwise than one of several, and would have a kernel of its own.
+        yaws = edges.T[:, 2].copy()
+        covariance, scans = _added(edges.hessians, yaws, otherwise, share * self._variance)
         if driven:
             self._learn_wheels(wheels, way, scans)
         else:
