@@ -5,8 +5,8 @@
     python benchmarks/soak.py [--rate 4]
 
 A simulated robot drives once through all rooms, stands for ten minutes, and drives through the same rooms for ten more.
-The recording is replayed, several times faster than real time but no faster than poses come, to real nodes in processes
-of their own, which keep their journals. Memory is what /proc calls RssAnon, which does not hang on what other processes
+The recording is replayed, no faster than poses come, to real nodes in processes of their own, which keep their
+journals. Memory is what /proc calls RssAnon, which does not hang on what other processes
 share. What comes after the first minute of standing, and of driving, is compared with that minute: journals on the disk
 may grow, memory may not. The reconstruction takes more while it works than between, so medians of a minute and the most
 are told, each beside its like.
@@ -192,7 +192,12 @@ def picture(stamps: Float, memory: dict[str, Float], stands: float, path: Path) 
 def main() -> None:
     """Measure; see above."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rate", type=float, default=4.0, help="speed of the replay")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=1.0,
+        help="speed of the replay; with more than 1, more comes between two updates of the mesh",
+    )
     given = parser.parse_args()
     rclpy.init()
     with tempfile.TemporaryDirectory() as folder:
