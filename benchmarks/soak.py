@@ -6,10 +6,10 @@
 
 A simulated robot drives once through all rooms, stands for ten minutes, and drives through the same rooms for ten more.
 The recording is replayed, no faster than poses come, to real nodes in processes of their own, which keep their
-journals. Memory is what /proc calls RssAnon, which does not hang on what other processes
-share. What comes after the first minute of standing, and of driving, is compared with that minute: journals on the disk
-may grow, memory may not. The reconstruction takes more while it works than between, so medians of a minute and the most
-are told, each beside its like.
+journals. Memory is what /proc calls RssAnon, which does not hang on what other processes share. What comes after the
+first minute of standing, and of driving, is compared with that minute: journals on the disk may grow, memory may not.
+The reconstruction takes more while it works than between, so medians of a minute and the most are told, each beside its
+like.
 """
 
 from __future__ import annotations

@@ -47,6 +47,11 @@ class Scan:
         return self.stamp + self.time_increment * np.arange(len(self.ranges), dtype=float)
 
     @property
+    def first_stamp(self) -> float:
+        """Time in seconds of the beam that was measured first."""
+        return self.stamp + min(0.0, self.time_increment * (len(self.ranges) - 1))
+
+    @property
     def last_stamp(self) -> float:
         """Time in seconds of the beam that was measured last."""
         return self.stamp + max(0.0, self.time_increment * (len(self.ranges) - 1))

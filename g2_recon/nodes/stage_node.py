@@ -44,8 +44,8 @@ _JUMP_S = 1.0
 # everything is missing.
 _PERIOD_S = 1.0
 _LOGGED_AFTER = 4
-# With so many of them what messages have left of memory is given back: it takes a tenth of a millisecond.
-_TRIMMED_EVERY = 60
+# So often what messages have left of memory is given back, s: it takes a tenth of a millisecond.
+_TRIM_PERIOD_S = 60.0
 # A stream that has been silent for so long has stopped.
 _SILENT_S = 2.0
 # How often it is looked whether kernels are compiled, and how long what was held is then handed on at a time.
@@ -72,11 +72,11 @@ class StageNode(Node, Generic[Settings]):
         self._held: deque[tuple[Input, Callable[[Any], None], Any]] | None = None
         self._held_for = ""
         self._lasting: Counter[str] = Counter()
-        self._told = 0
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Not on ROS time: without a /clock, diagnostics are what one needs.
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics_timer = self.create_timer(_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
+        self.create_timer(_TRIM_PERIOD_S, give_back_memory, clock=self.steady_clock)
 
     def waiting_for(self) -> str:
         """What the node lacks to go on, in words; empty while it goes on."""
@@ -273,9 +273,6 @@ class StageNode(Node, Generic[Settings]):
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
-        self._told += 1
-        if self._told % _TRIMMED_EVERY == 0:
-            give_back_memory()
 
     def _waiting_for_kernels(self) -> str:
         if self._held is None:

@@ -39,11 +39,13 @@ class CorrectedTrajectory:
     moved, its poses move with it; where the next one is moved otherwise, as at the seam of two local maps after a loop
     was closed, the difference is spread over the time between the two. A loop that is closed at a keyframe makes the
     poses that came jump there; the way as it is known then does not.
+
+    thin_until: stamp in seconds before which poses have been thinned, -inf at first.
     """
 
     def __init__(self) -> None:
         self._count = 0
-        self._thin_until = -np.inf
+        self.thin_until = -np.inf
         self._rows = Poses(np.empty(_FEWEST_ROWS), np.empty((_FEWEST_ROWS, 3)), np.empty((_FEWEST_ROWS, 4)))
         # Of keyframes: stamps, poses as they are now and as they came.
         self._keyframe_stamps: Float = np.empty(0)
@@ -98,13 +100,13 @@ class CorrectedTrajectory:
         """Forget poses before `until` that `between` does not need for any of these spans (N, 2), in seconds.
 
         Keyframes that are told later are placed by the poses around them: from the newest one on, those stay that tell
-        where the robot has moved. Poses before the `until` of the last time are not looked at again.
+        where the robot has moved. Poses before `thin_until`, that of the last time, are not looked at again.
         """
         stamps = self._rows.stamps[: self._count]
-        begin, end = np.searchsorted(stamps, [self._thin_until, until])
+        begin, end = np.searchsorted(stamps, [self.thin_until, until])
+        self.thin_until = until
         if end - begin < 2:
             return
-        self._thin_until = until
         firsts, lasts = np.reshape(spans, (-1, 2)).T
         begun = np.bincount(np.maximum(np.searchsorted(stamps, firsts, side="right") - 1, 0), minlength=len(stamps) + 1)
         ended = np.bincount(np.searchsorted(stamps, lasts) + 1, minlength=len(stamps) + 2)[: len(stamps) + 1]

@@ -77,7 +77,6 @@ class Registrar:
     def reset(self) -> None:
         """Forget poses, scans and counts."""
         self._trajectory = CorrectedTrajectory()
-        self._thin_until = -np.inf
         # A heap by the time of the last beam; the count keeps scans of equal time in the order in which they came.
         self._waiting: list[tuple[float, int, Scan]] = []
         self._count = 0
@@ -225,25 +224,24 @@ class Registrar:
         while self._waiting and self._second_newest_scan - self._waiting[0][2].stamp > self._config.max_wait:
             heapq.heappop(self._waiting)
             self._drops[f"no pose came for {self._config.max_wait:g} s"] += 1
-        oldest = self._waiting[0][2].stamp if self._waiting else np.inf
+        oldest = waiting = self._waiting[0][2].stamp if self._waiting else np.inf
         if self._keep_scans:
-            oldest = min([oldest, *(piece.first for piece in list(self._pieces.values())[:1])])
-        trajectory.drop_before(min(oldest, trajectory.last_stamp - _POSES_KEPT_S))
-        if self._keep_scans:
-            waiting = self._waiting[0][2].stamp if self._waiting else np.inf
             self._thin_poses(min(trajectory.last_stamp, waiting) - _ALL_POSES_KEPT_S)
+            oldest = min([waiting, *(piece.first for piece in list(self._pieces.values())[:1])])
+        trajectory.drop_before(min(oldest, trajectory.last_stamp - _POSES_KEPT_S))
 
     def _thin_poses(self, until: float) -> None:
         """Keep poses before a time only where scans are that may be placed anew."""
-        if until < self._thin_until + _ALL_POSES_KEPT_S:
+        before = self._trajectory.thin_until
+        if until < before + _ALL_POSES_KEPT_S:
             return
-        recent = [piece for piece in self._pieces.values() if piece.last >= self._thin_until]
-        self._trajectory.thin(until, [_span(scan) for piece in recent for scan in piece.scans])
-        self._thin_until = until
+        recent = [piece for piece in self._pieces.values() if piece.last >= before]
+        spans = [(scan.first_stamp, scan.last_stamp) for piece in recent for scan in piece.scans]
+        self._trajectory.thin(until, spans)
 
     def _register(self, scan: Scan) -> None:
         """Place a scan and hand it out, or count why it cannot be placed."""
-        first, last = _span(scan)
+        first, last = scan.first_stamp, scan.last_stamp
         poses = self._trajectory.between(first, last)
         placed = self._place(scan, poses)
         if not isinstance(placed, Cloud):
@@ -331,9 +329,3 @@ class Registrar:
     @staticmethod
     def _thinned(cloud: Cloud, voxels: VoxelFilter | None) -> Cloud:
         return cloud if voxels is None else cloud.select(voxels.first(cloud.points))
-
-
-def _span(scan: Scan) -> tuple[float, float]:
-    """When the first and the last of its beams were measured, s."""
-    stamps = scan.stamp, scan.stamp + scan.time_increment * (len(scan.ranges) - 1)
-    return min(stamps), max(stamps)
