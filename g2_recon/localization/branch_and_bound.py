@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from dataclasses import dataclass
 
 import numba
@@ -17,6 +18,8 @@ Float = NDArray[np.float64]
 Grid = NDArray[np.uint8]
 
 _LEVELS = 5
+# Of zlib.
+_FAST = 1
 _MARGIN_M = 2.0
 _MOST_VISITED = 400_000
 _MOST_LEVELS, _MOST_VISITED_PLACES = 8, 4_000_000
@@ -33,6 +36,27 @@ class Pyramid:
     corner: Float
     resolution: float
 
+    def ground(self) -> Ground:
+        """What the pyramid can be made of again."""
+        return Ground(zlib.compress(self.levels[0], _FAST), self.levels.shape[1:], self.corner, self.resolution)
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """The lowest level of a pyramid, of shape (W, H), in a tenth of its memory: most cells are empty."""
+
+    packed: bytes
+    shape: tuple[int, ...]
+    corner: Float
+    resolution: float
+
+    def raised(self) -> Pyramid:
+        """The pyramid that it was the ground of."""
+        levels = np.zeros((_LEVELS, *self.shape), np.uint8)
+        levels[0] = np.frombuffer(zlib.decompress(self.packed), np.uint8).reshape(self.shape)
+        raise_maxima(levels)
+        return Pyramid(levels, self.corner, self.resolution)
+
 
 def pyramid(points: Float, *, resolution: float, sigma: float) -> Pyramid:
     """The pyramid of points (N, 2), at least one, each a bell of `sigma` m."""
@@ -41,14 +65,6 @@ def pyramid(points: Float, *, resolution: float, sigma: float) -> Pyramid:
     levels = np.zeros((_LEVELS, width, height), np.uint8)
     _fill(levels, points, corner, resolution, sigma)
     return Pyramid(levels, corner, resolution)
-
-
-def raised(ground: Pyramid) -> Pyramid:
-    """The pyramid of which the lowest level is known."""
-    levels = np.zeros((_LEVELS, *ground.levels.shape[1:]), np.uint8)
-    levels[0] = ground.levels[0]
-    raise_maxima(levels)
-    return Pyramid(levels, ground.corner, ground.resolution)
 
 
 @numba.njit(cache=True, nogil=True)

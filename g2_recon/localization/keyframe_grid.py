@@ -30,7 +30,7 @@ class KeyframeGrid:
     """Scans of keyframes, and the grid that counts them at the poses that they have now.
 
     A new keyframe is added to the counts. One that was moved, as by a loop closure, cannot be taken out of them, so all
-    are counted anew.
+    are counted anew. Ranges are kept in half precision, to 1 cm at 30 m and 2 mm at 8 m, as there may be very many.
     """
 
     def __init__(self, config: LocalizationConfig, T_base_laser: ArrayLike) -> None:
@@ -43,7 +43,10 @@ class KeyframeGrid:
 
     def clear(self) -> None:
         """Forget all keyframes."""
-        self._scans: list[Scan] = []
+        # Of keyframes: angle and increment of the beams and the longest range; the ranges, and where they end.
+        self._geometry = array("d")
+        self._ranges = bytearray()
+        self._ends = array("q", [0])
         self._start_over()
 
     def _start_over(self) -> None:
@@ -59,7 +62,7 @@ class KeyframeGrid:
 
     def __len__(self) -> int:
         """How many keyframes there are."""
-        return len(self._scans)
+        return len(self._ends) - 1
 
     @property
     def counted(self) -> int:
@@ -68,15 +71,22 @@ class KeyframeGrid:
 
     def add(self, scan: Scan) -> None:
         """Keep the scan of a new keyframe; it is counted in `update`."""
-        self._scans.append(scan)
+        says = scan.valid() | np.isposinf(scan.ranges)
+        with np.errstate(over="ignore"):
+            ranges = np.where(says, scan.ranges, np.nan).astype(np.float16)
+            farthest = float(np.float16(scan.range_max))
+        self._geometry.extend((scan.angle_min, scan.angle_increment, farthest))
+        self._ranges += ranges.tobytes()
+        self._ends.append(len(self._ranges))
 
     def add_session(self, session: Session) -> None:
         """Keep the scans of the keyframes of a session."""
-        self._scans += session.scans(upside_down=self._turn < 0)
+        for scan in session.scans(upside_down=self._turn < 0):
+            self.add(scan)
 
     def is_current(self, poses: ArrayLike) -> bool:
         """Whether every keyframe is counted, at T_map_base (K, 3), where it is now."""
-        return self.counted == len(self._scans) and not self._have_moved(np.reshape(poses, (-1, 3)))
+        return self.counted == len(self) and not self._have_moved(np.reshape(poses, (-1, 3)))
 
     def update(self, poses: ArrayLike, *, most: int | None = None) -> bool:
         """Count keyframes, of which T_map_base is (K, 3) now; whether all are counted.
@@ -89,21 +99,23 @@ class KeyframeGrid:
         if (most is None or self._caught_up) and self._have_moved(places):
             self._start_over()
         begin = self.counted
-        end = len(self._scans) if most is None else min(len(self._scans), begin + most)
-        for place, scan in zip(places[begin:end], self._scans[begin:end], strict=True):
-            self._count(place, scan)
-        self._caught_up = end == len(self._scans)
+        end = len(self) if most is None else min(len(self), begin + most)
+        for index in range(begin, end):
+            self._count(places[index], index)
+        self._caught_up = end == len(self)
         return self._caught_up
 
-    def _count(self, place: Float, scan: Scan) -> None:
+    def _count(self, place: Float, index: int) -> None:
         self._counted.extend(place)
+        ranges = np.frombuffer(self._ranges[self._ends[index] : self._ends[index + 1]], np.float16)
+        first, increment, farthest = self._geometry[3 * index : 3 * index + 3]
         try:
             self._builder.add(
                 compose(place, self._T_base_laser),
-                self._turn * scan.angles(),
-                scan.ranges,
-                range_min=max(self._config.min_range, scan.range_min),
-                range_max=scan.range_max,
+                self._turn * (first + increment * np.arange(len(ranges))),
+                ranges,
+                range_min=self._config.min_range,
+                range_max=farthest,
             )
         except InputError as error:
             self.left_out += 1

@@ -99,17 +99,17 @@ class Localizer:
         self._refined: Future[Float] | None = None
         self._odometry = OdometrySteps(self._T_base_laser, use=self._config.use_odometry)
         self._start = se2.compose(np.array(pose, float), self._T_base_laser)
-        # Of keyframes: stamp, step of the wheels from the one before, way driven until there, track lost
+        # Of keyframes: stamp, step (3) of the wheels from the one before, way driven until there, track lost
         # on the way there.
-        self._keyframe_stamps: list[float] = []
-        self._wheel_steps: list[Float] = []
-        self._ways: list[float] = []
-        self._broken: list[bool] = []
+        self._keyframe_stamps = array("d")
+        self._wheel_steps = array("d")
+        self._ways = array("d")
+        self._broken = array("B")
         self._map_begins = 0
         self._wheels_since: Float = np.zeros(3)
         # Of scans: keyframe that it hangs on, pose (3) seen from there; beams, where they are kept.
         self._stamps = array("d")
-        self._owners = array("q")
+        self._owners = array("i")
         self._offsets = array("d")
         self._causal: list[Float] = []
         self._scans: list[Beams | None] = []
@@ -221,13 +221,12 @@ class Localizer:
     ) -> None:
         self._keyframes.add(seen, pose)
         self._keyframe_stamps.append(self._stamp)
-        self._wheel_steps.append(self._wheels_since)
-        self._wheels_since = np.zeros(3)
+        wheels, self._wheels_since = self._wheels_since, np.zeros(3)
+        self._wheel_steps.extend(wheels)
         self._ways.append(way + (self._ways[-1] if self._ways else 0.0))
         self._broken.append(broken)
-        self._smoother.add(self._wheel_steps[-1], self._tracker.segment)
-        edges, wheels = self._smoother.latest(), self._wheel_steps[-1]
-        self._uncertainty.add(edges, wheels=wheels, broken=broken, corners=corners)
+        self._smoother.add(wheels, self._tracker.segment)
+        self._uncertainty.add(self._smoother.latest(), wheels=wheels, broken=broken, corners=corners)
         self._tracker.pair_sigma = self._uncertainty.pair_sigma
         self._tracker.moved()
         self._last = self._keyframes.poses[-1].copy()
@@ -306,7 +305,7 @@ class Localizer:
     def _follow(self, before: Float) -> None:
         """Move the keyframes as the local maps were moved from their poses (C, 3) before."""
         poses = self._keyframes.poses
-        poses[:] = self._loops.carried_along(poses, before, np.array(self._broken))
+        poses[:] = self._loops.carried_along(poses, before, np.array(self._broken, bool))
         self._tracker.moved()
 
     def session(self) -> Session:
@@ -325,8 +324,8 @@ class Localizer:
             firsts=firsts.copy(),
             increments=increments.copy(),
             ways=np.array(self._ways),
-            wheel_steps=np.array(self._wheel_steps),
-            broken=np.array(self._broken),
+            wheel_steps=np.array(self._wheel_steps).reshape(-1, 3),
+            broken=np.array(self._broken, bool),
             local_maps=local_maps,
             loops=loops,
             loop_information=information,
@@ -358,7 +357,7 @@ class Localizer:
             firsts=firsts[keyframes:].copy(),
             increments=increments[keyframes:].copy(),
             ways=np.array(self._ways[keyframes:]),
-            wheel_steps=np.reshape(self._wheel_steps[keyframes:], (-1, 3)),
+            wheel_steps=np.reshape(self._wheel_steps[3 * keyframes :], (-1, 3)),
             broken=np.array(self._broken[keyframes:], bool),
             graph=self._graph() if len(points) > keyframes and not self._map_is_changing else None,
             scans=ScanPoses(
@@ -391,16 +390,16 @@ class Localizer:
         if len(scans) and scans.owners.max() >= len(self._keyframes):
             raise InputError("scans of a session hang on keyframes that are not there")
         self._stamps = array("d", scans.stamps) + self._stamps
-        self._owners = array("q", scans.owners) + self._owners
+        self._owners = array("i", scans.owners) + self._owners
         self._offsets = array("d", scans.offsets.ravel()) + self._offsets
 
     def resume(self, session: Session, pose: ArrayLike = se2.IDENTITY) -> None:
         """Forget everything and go on in the map of a session, in a new segment with the robot at `pose` (3,)."""
         Localizer.reset(self, pose)
         self._take_keyframes(session)
-        self._wheel_steps = list(session.wheel_steps)
-        self._ways = session.ways.tolist()
-        self._broken = session.broken.tolist()
+        self._wheel_steps = array("d", session.wheel_steps.ravel())
+        self._ways = array("d", session.ways)
+        self._broken = array("B", session.broken.tobytes())
         graph = session.local_maps, session.ways, session.loops, session.loop_information
         self._loops.resume(self._keyframes.snapshot(), *graph)
         self._map_begins = len(session)
@@ -409,7 +408,7 @@ class Localizer:
         """In place of those that there are; a new segment begins after them."""
         self._keyframes.fill(session.poses, session.beams)
         self._uncertainty.fill(len(session))
-        self._keyframe_stamps = session.stamps.tolist()
+        self._keyframe_stamps = array("d", session.stamps)
         self._tracker.segment = len(session)
 
     def finish(self, progress: Progress = silent) -> None:
@@ -464,7 +463,8 @@ class Localizer:
         if self._config.loop_closure:
             new = self._finish_local_map()
         keyframes = self._keyframes.snapshot()
-        ways, wheel_steps, broken = np.array(self._ways), np.array(self._wheel_steps), np.array(self._broken)
+        ways, broken = np.array(self._ways), np.array(self._broken, bool)
+        wheel_steps = np.array(self._wheel_steps).reshape(-1, 3)
 
         def refined(progress: Progress = silent) -> Float:
             if self._config.loop_closure:
@@ -532,7 +532,7 @@ class Localizer:
     def keyframes(self) -> Trajectory:
         """T_map_base of the scans that were added to the map."""
         poses = se2.compose(self._keyframes.poses, self._T_laser_base)
-        return Trajectory.from_se2(self._keyframe_stamps, poses)
+        return Trajectory.from_se2(np.array(self._keyframe_stamps), poses)
 
     def point_map(self) -> Float:
         """The points (N, 2) of the map, thinned to `map_spacing`."""

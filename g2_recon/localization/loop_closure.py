@@ -11,7 +11,7 @@ direction in which the place repeats itself, and must agree with the graph of al
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -21,15 +21,16 @@ from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
 from g2_recon.localization import branch_and_bound, pose_graph
 from g2_recon.localization.beams import CORNER, INVALID
-from g2_recon.localization.branch_and_bound import Pyramid
+from g2_recon.localization.branch_and_bound import Ground, Pyramid
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.pairing import add_levered, add_turned, agreements, lay, parted, room
 from g2_recon.localization.point_map import first_in_each_cell
 
 Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 
 _RESOLUTION_M, _SIGMA_M = 0.1, 0.1
-# Of so many the lowest level is kept, up to 0.2 MB each; those above it, four times as much, are soon made again.
+# Of so many the lowest level is kept; those above it, four times as much, are soon made again.
 _MOST_PYRAMIDS = 64
 # A local map is looked for with this many of its points, from so near, thinned to such cells.
 _QUERY_POINTS, _QUERY_RANGE_M, _QUERY_CELL_M = 500, 15.0, 0.15
@@ -83,7 +84,7 @@ class LocalMap:
     last: int
     reference: int
     way: float
-    query: Float
+    query: Float32
 
 
 class LoopCloser:
@@ -103,7 +104,7 @@ class LoopCloser:
         # The same as arrays, as far as they have been asked for.
         self._steps_known = self._loops_known = _measured([])
         # Pyramids of local maps, of their lowest level only.
-        self._grounds: dict[int, Pyramid] = {}
+        self._grounds: dict[int, Ground] = {}
         self._cost = 0.0
         # No loop is looked for between earlier local maps and those from this one on: how they lie is not known.
         self.apart = 0
@@ -135,7 +136,7 @@ class LoopCloser:
         reference = (first + last) // 2
         query = self._cloud(first, last, poses[reference], _QUERY_RANGE_M, _QUERY_CELL_M)
         order = np.random.default_rng(0).permutation(len(query))
-        new = LocalMap(first, last, reference, way, query[order[:_QUERY_POINTS]])
+        new = LocalMap(first, last, reference, way, query[order[:_QUERY_POINTS]].astype(np.float32))
         if self.maps:
             before = self.maps[-1]
             length = max(way - before.way, 1e-3)
@@ -235,12 +236,12 @@ class LoopCloser:
         known = self._grounds.pop(c, None)
         if known is not None:
             self._grounds[c] = known
-            return branch_and_bound.raised(known)
+            return known.raised()
         first, last = self.maps[max(0, c - 1)].first, self.maps[min(len(self.maps) - 1, c + 1)].last
         cloud = self._cloud(first, last, self._keyframes.poses[self.maps[c].reference], _MAP_RANGE_M, _MAP_CELL_M)
         made = branch_and_bound.pyramid(cloud, resolution=_RESOLUTION_M, sigma=_SIGMA_M)
         if c + 1 < len(self.maps):
-            self._grounds[c] = replace(made, levels=made.levels[:1].copy())
+            self._grounds[c] = made.ground()
             if len(self._grounds) > _MOST_PYRAMIDS:
                 del self._grounds[next(iter(self._grounds))]
         return made
@@ -291,7 +292,7 @@ class LoopCloser:
         guess = se2.relative(self.poses[j], self.poses[c])
         half = np.arange(0, turn + 1e-9, _TURN_STEP)
         turns = np.concatenate([[0.0], *[[-t, t] for t in half[1:]]])
-        query = self.maps[c].query
+        query = self.maps[c].query.astype(float)
         if len(query) < 50:
             return None
         start, score = branch_and_bound.find(

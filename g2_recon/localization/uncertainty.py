@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 
 import numba
 import numpy as np
@@ -60,13 +61,13 @@ class Uncertainty:
         self._in_a_row = 0
         # Covariance (3, 3) of the latest keyframe in the map frame; of the steps to each keyframe, in its own frame.
         self.covariance: Float = np.zeros((3, 3))
-        self._steps: list[Float] = []
+        self._steps = array("d")
         self.drift_scale = 1.0
 
     def fill(self, count: int) -> None:
         """Of so many keyframes that were there before, the poses are what the map is."""
         self.covariance = np.zeros((3, 3))
-        self._steps = [np.zeros((3, 3))] * count
+        self._steps = array("d", bytes(8 * 9 * count))
 
     @property
     def pair_sigma(self) -> float:
@@ -82,14 +83,14 @@ class Uncertainty:
         poses = self._keyframes.poses
         k = len(poses) - 1
         if not k:
-            self._steps.append(np.zeros((3, 3)))
+            self._steps.extend(np.zeros(9))
             return
         if broken:
             step = np.diag(_BROKEN_SIGMA**2)
             self._in_a_row = 0
         else:
             step = self._step(edges, relative(poses[k - 1], poses[k]), wheels, corners)
-        self._steps.append(step)
+        self._steps.extend(step.ravel())
         self.covariance = self._led_on(self.covariance, k, self.drift_scale)
 
     def _step(self, edges: pose_graph.Edges | None, moved: Float, wheels: Float, corners: Float | None) -> Float:
@@ -132,7 +133,8 @@ class Uncertainty:
     def _led_on(self, covariance: Float, k: int, scale: float) -> Float:
         """The covariance (3, 3) of keyframe k - 1 as that of keyframe k."""
         poses = self._keyframes.poses
-        return np.asarray(_led_on(covariance, poses[k - 1], poses[k], scale * self._steps[k]))
+        step = np.reshape(self._steps[9 * k : 9 * k + 9], (3, 3))
+        return np.asarray(_led_on(covariance, poses[k - 1], poses[k], scale * step))
 
     def between(self, a: int, b: int) -> Float:
         """Covariance (3, 3) of keyframe b > a as seen from a, in the frame of a, before it is scaled."""

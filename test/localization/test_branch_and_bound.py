@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ def find(pyramid, points, guess, window, turns=TURNS, least=0.0):
 def test_a_pyramid_is_raised_from_its_lowest_level():
     points = np.random.default_rng(3).uniform(-4, 9, (200, 2))
     whole = branch_and_bound.pyramid(points, resolution=RESOLUTION, sigma=0.1)
-    raised = branch_and_bound.raised(replace(whole, levels=whole.levels[:1]))
+    raised = whole.ground().raised()
     assert np.array_equal(raised.levels, whole.levels)
     assert raised.corner.tolist() == whole.corner.tolist() and raised.resolution == whole.resolution
 

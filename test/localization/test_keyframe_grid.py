@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
+import tracemalloc
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +40,7 @@ def test_the_grid_is_that_of_the_scans_at_their_poses(grid_of, scan_of_room):
     plain = GridBuilder(resolution=0.1, max_range=40.0, free_range=5.0)
     for pose in WAY:
         scan = scan_of_room(pose)
-        plain.add(pose, scan.angles(), scan.ranges, range_min=0.1, range_max=80.0)
+        plain.add(pose, scan.angles(), scan.ranges.astype(np.float16), range_min=0.1, range_max=80.0)
     assert same(grid.grid(), plain.grid())
 
 
@@ -134,6 +136,32 @@ def test_returns_outside_the_set_ranges_make_no_wall(scan_of_room):
     distances = np.hypot(*(cells.origin[:2, None] + cells.resolution * (np.stack([columns, rows]) + 0.5)))
     # Half the diagonal of a cell.
     assert distances == pytest.approx(np.full(len(distances), 1.5), abs=0.036)
+
+
+def test_a_range_just_beyond_that_of_the_laser_makes_no_wall(scan_of_room):
+    # Some lasers code a beam without a return so; the ranges that are kept are rounded.
+    grid = KeyframeGrid(LocalizationConfig(), np.eye(4))
+    scan = replace(scan_of_room((0, 0, 0)), range_max=8.0)
+    for shift in (0.0, 0.001):
+        scan.ranges[:] = 8.0 + shift
+        grid.clear()
+        grid.add(scan)
+        grid.add(scan)
+        grid.update(np.zeros((2, 3)))
+        cells = grid.grid().cells
+        assert (cells == 100).any() == (shift == 0)
+        assert (cells.size > 0) == (shift == 0)
+
+
+def test_many_keyframes_take_little_memory(scan_of_room):
+    grid = KeyframeGrid(LocalizationConfig(), np.eye(4))
+    scan = scan_of_room((0, 0, 0))
+    tracemalloc.start()
+    for _ in range(1000):
+        grid.add(replace(scan, ranges=scan.ranges.copy()))
+    used, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert used / 1000 < 3 * len(scan.ranges) + 100
 
 
 @pytest.mark.parametrize("roll", [0.0, np.pi])
