@@ -87,7 +87,9 @@ def inverse_3x3(A: Float) -> Float:
     for k in range(3):
         unit[:] = 0.0
         unit[k] = 1.0
-        inverted[k] = solve_3x3(A, unit)
+        row = solve_3x3(A, unit)
+        for u in range(3):
+            inverted[k, u] = row[u]
     return 0.5 * (inverted + inverted.T)
 
 

@@ -15,7 +15,8 @@ from g2_recon.geometry.scan import Scan
 
 Float32 = NDArray[np.float32]
 
-INVALID, POINT, SURFACE, CORNER = 0, 1, 2, 4
+# Of NumPy, as Numba would compile what they are handed to for each Python int anew.
+INVALID, POINT, SURFACE, CORNER = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(4)
 """What a beam is: no measurement, a point, a point on a surface with a known normal, a point clearly on no surface.
 
 A point that is none of the latter may lie on a wall seen at so flat an angle that its beams are far apart. Such wander

@@ -111,7 +111,8 @@ def widen(grid, box, reach, wide):  # type: ignore[no-untyped-def]
         for other in range(max(left, x - reach), min(right, x + reach + 1)):
             _raise(row, grid[other, bottom:top], count)
         widened = wide[x, bottom:top]
-        widened[:] = row
+        widened[:] = 0
+        _raise(widened, row, count)
         for step in range(1, reach + 1):
             _raise(widened, row[step:], count - step)
             _raise(widened[step:], row, count - step)

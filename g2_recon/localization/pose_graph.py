@@ -70,10 +70,11 @@ def _moved(poses, first, second, T, hessians, gradients):  # type: ignore[no-unt
     """T_j_i (M, 3) at poses (N, 3), and what the gradients (M, 3) at T are there."""
     now, there = np.empty_like(T), gradients.copy()
     for m in range(len(first)):
-        now[m] = relative(poses[second[m]], poses[first[m]])
-        d = now[m] - T[m]
+        T_j_i = relative(poses[second[m]], poses[first[m]])
+        d = T_j_i - T[m]
         d[2] = wrap(d[2])
         for u in range(3):
+            now[m, u] = T_j_i[u]
             for v in range(3):
                 there[m, u] += hessians[m, u, v] * d[v]
     return now, there

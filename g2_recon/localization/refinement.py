@@ -51,7 +51,7 @@ class _Partners(NamedTuple):
 
     distance: float
     sigma: float
-    loose: int
+    loose: np.uint8
     step: int
 
 

@@ -147,11 +147,20 @@ def _lay_on_earlier(  # type: ignore[no-untyped-def]
         fits = inliers > _LEAST_INLIERS * seen and inliers > _FEWEST_INLIERS
         if fits or span <= _ALWAYS:
             first[count], second[count] = i, j
-            T[count], hessians[count], gradients[count] = T_j_i, hessian, gradient
+            _put(count, T_j_i, hessian, gradient, T, hessians, gradients)
             count += 1
     first[count], second[count] = i, i - 1
-    T[count], hessians[count], gradients[count] = wheels, _wheel_information(wheels), 0.0
+    _put(count, wheels, _wheel_information(wheels), np.zeros(3), T, hessians, gradients)
     return count + 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _put(row, T_j_i, hessian, gradient, T, hessians, gradients):  # type: ignore[no-untyped-def]
+    """Write an edge number by number: whole arrays come with errors in words, which take seconds to compile."""
+    for u in range(3):
+        T[row, u], gradients[row, u] = T_j_i[u], gradient[u]
+        for v in range(3):
+            hessians[row, u, v] = hessian[u, v]
 
 
 @numba.njit(cache=True, nogil=True)
