@@ -22,7 +22,7 @@ from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.se2_kernels import compose, inverse_3x3, is_within, relative
 from g2_recon.geometry.session import LastScan, ScanPoses, Session, SessionGrowth
-from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.geometry.trajectory import STANDING_M, STANDING_RAD, Trajectory
 from g2_recon.localization import refinement
 from g2_recon.localization.beams import SURFACE, Beams, beams
 from g2_recon.localization.keyframes import Keyframes
@@ -57,8 +57,6 @@ _NEARLY_NOTHING = 1e-4 * np.eye(3)
 _LEAST_BY_CORNERS = 1000.0
 # So many scans are matched at once at the end: enough for all cores, and little memory.
 _MATCHED_AT_ONCE = 1024
-# Scans this near to the one before, in m and rad, are not kept in the trajectory of a live robot.
-_STANDING_M, _STANDING_RAD = 0.02, 0.01
 
 # Loops are closed beside the tracking and count so many keyframes later, however long that takes: the result is the
 # same on any machine, and no scan waits unless it takes longer.
@@ -246,7 +244,7 @@ class Localizer:
             offset = np.zeros(3) if keyframe else relative(self._keyframes.poses[owner], pose)
         if not self._keep_scans and self._owners and owner == self._owners[-1] and not keyframe:
             x, y, yaw = self._offsets[-3:]
-            if max(abs(offset[0] - x), abs(offset[1] - y)) < _STANDING_M and abs(offset[2] - yaw) < _STANDING_RAD:
+            if max(abs(offset[0] - x), abs(offset[1] - y)) < STANDING_M and abs(offset[2] - yaw) < STANDING_RAD:
                 return
         self._stamps.append(stamp)
         self._owners.append(owner)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from g2_recon.config import RegistrationConfig
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.geometry.trajectory import STANDING_M, STANDING_RAD, Trajectory
 from g2_recon.geometry.voxels import VoxelCounts, VoxelFilter, sided_voxel_numbers
 from g2_recon.registration.corrected_trajectory import CorrectedTrajectory, Poses
 from g2_recon.registration.placing import place_beams
@@ -35,8 +35,6 @@ _STAMPS_KEPT = 10_000
 # What a scan sees is known where pieces before the latest ones have points in the cube with this edge, m, seen from the
 # same side. The latest ones do not count: a robot that turns in a room on its first visit sees much of it twice.
 _KNOWN_CUBE_M, _LATEST_PIECES = 0.2, 30
-# A robot that has moved less than this stands, m and rad: the localizer is surer than that.
-_STANDING_M, _STANDING_RAD = 0.02, 0.01
 
 
 @dataclass(slots=True)
@@ -263,7 +261,7 @@ class Registrar:
         if self._standing is not None:
             there, turned, count = self._standing
             moved = np.linalg.norm(position - there), (turned.inv() * turn).magnitude()
-            if moved[0] < _STANDING_M and moved[1] < _STANDING_RAD:
+            if moved[0] < STANDING_M and moved[1] < STANDING_RAD:
                 self._standing = there, turned, count + 1
                 return count >= self._config.standing_scans
         self._standing = position.copy(), turn, 1
