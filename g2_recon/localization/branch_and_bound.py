@@ -18,7 +18,7 @@ Float = NDArray[np.float64]
 Grid = NDArray[np.uint8]
 
 _LEVELS = 5
-# Of zlib.
+# Level of zlib.
 _FAST = 1
 _MARGIN_M = 2.0
 _MOST_VISITED = 400_000

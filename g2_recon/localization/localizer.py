@@ -242,6 +242,7 @@ class Localizer:
         else:
             owner = len(self._keyframes) - 1
             offset = np.zeros(3) if keyframe else relative(self._keyframes.poses[owner], pose)
+        # The trajectory of a live robot does not grow while it stands.
         if not self._keep_scans and self._owners and owner == self._owners[-1] and not keyframe:
             x, y, yaw = self._offsets[-3:]
             if max(abs(offset[0] - x), abs(offset[1] - y)) < STANDING_M and abs(offset[2] - yaw) < STANDING_RAD:
