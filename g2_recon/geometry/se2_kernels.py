@@ -81,7 +81,11 @@ def solve_3x3(A: Float, b: Float) -> Float:
 
 @numba.njit(cache=True, nogil=True)
 def inverse_3x3(A: Float) -> Float:
-    """The inverse (3, 3) of a symmetric positive definite A (3, 3)."""
+    """The inverse (3, 3) of a symmetric positive definite A (3, 3).
+
+    Its rows are written number by number: an array written into a slice comes with errors in words, which take seconds
+    to compile.
+    """
     inverted = np.empty((3, 3))
     unit = np.zeros(3)
     for k in range(3):

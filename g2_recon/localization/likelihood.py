@@ -111,6 +111,7 @@ def widen(grid, box, reach, wide):  # type: ignore[no-untyped-def]
         for other in range(max(left, x - reach), min(right, x + reach + 1)):
             _raise(row, grid[other, bottom:top], count)
         widened = wide[x, bottom:top]
+        # Not the row at once; see se2_kernels.inverse_3x3.
         widened[:] = 0
         _raise(widened, row, count)
         for step in range(1, reach + 1):

@@ -74,6 +74,7 @@ def _moved(poses, first, second, T, hessians, gradients):  # type: ignore[no-unt
         d = T_j_i - T[m]
         d[2] = wrap(d[2])
         for u in range(3):
+            # Number by number; see se2_kernels.inverse_3x3.
             now[m, u] = T_j_i[u]
             for v in range(3):
                 there[m, u] += hessians[m, u, v] * d[v]

@@ -156,7 +156,7 @@ def _lay_on_earlier(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _put(row, T_j_i, hessian, gradient, T, hessians, gradients):  # type: ignore[no-untyped-def]
-    """Write an edge number by number: whole arrays come with errors in words, which take seconds to compile."""
+    """Write an edge number by number; see se2_kernels.inverse_3x3."""
     for u in range(3):
         T[row, u], gradients[row, u] = T_j_i[u], gradient[u]
         for v in range(3):
