@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from g2_recon.config import RegistrationConfig
 from g2_recon.geometry.cloud import Cloud, concatenate
@@ -93,8 +93,8 @@ class Registrar:
         self._known = VoxelCounts()
         self._unsettled: list[int] = []
         self.released = 0
-        # Where the robot came to stand, as position and rotation, and how many scans there are from there.
-        self._standing: tuple[Float, Rotation, int] | None = None
+        # Where the robot came to stand, as position and quaternion, and how many scans there are from there.
+        self._standing: tuple[Float, Float, int] | None = None
         self.redundant = 0
 
     def configure(self, config: RegistrationConfig) -> None:
@@ -257,14 +257,14 @@ class Registrar:
 
     def _stands(self, poses: Poses) -> bool:
         """Whether there are enough scans from where the robot is at the first of these poses."""
-        position, turn = poses.positions[0], Rotation.from_quat(poses.quaternions[0])
+        position, quaternion = poses.positions[0], poses.quaternions[0]
         if self._standing is not None:
             there, turned, count = self._standing
-            moved = np.linalg.norm(position - there), (turned.inv() * turn).magnitude()
-            if moved[0] < STANDING_M and moved[1] < STANDING_RAD:
+            alike = abs(turned @ quaternion)  # cosine of half the angle between
+            if math.dist(there, position) < STANDING_M and alike > math.cos(STANDING_RAD / 2):
                 self._standing = there, turned, count + 1
                 return count >= self._config.standing_scans
-        self._standing = position.copy(), turn, 1
+        self._standing = position.copy(), quaternion.copy(), 1
         return False
 
     def _place(self, scan: Scan, poses: Poses) -> Cloud | str:
