@@ -148,8 +148,11 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self.offer_trigger("~/refine", self._refine, group=ReentrantCallbackGroup())
         self.offer_pause()
         self.create_timer(1.0, self._publish_maps, clock=self.steady_clock)
-        self.create_timer(_GRACE_S, self._process_waiting, clock=self.steady_clock)
-        self.create_timer(_GRACE_S, self._tend_refinement, clock=self.steady_clock)
+        # They run while there is something to do: each time one fires, all entities are waited for anew.
+        self._waiting_timer = self.create_timer(_GRACE_S, self._process_waiting, clock=self.steady_clock)
+        self._refinement_timer = self.create_timer(_GRACE_S, self._tend_refinement, clock=self.steady_clock)
+        self._waiting_timer.cancel()
+        self._refinement_timer.cancel()
         self.listen(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, reliable_qos(1))
         if self.settings.use_odometry:
             self.listen(Odometry, "odom", self._on_odometry, sensor_qos(depth))
@@ -256,6 +259,10 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         while self._waiting and not self._odometry_may_come(self._waiting[0]):
             waiting = self._waiting.popleft()
             self._localize(waiting.scan, waiting.stamp)
+        if not self._waiting:
+            self._waiting_timer.cancel()
+        elif self._waiting_timer.is_canceled():
+            self._waiting_timer.reset()
 
     def _odometry_may_come(self, waiting: _WaitingScan) -> bool:
         if not len(self._odometry) or waiting.scan.stamp <= self._odometry.last_stamp:
@@ -366,6 +373,7 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             raise InputError("there is nothing to refine", advice=self.waiting_for() or "send scans first")
         answer = Future()
         self._refinement_wanted.append(answer)
+        self._refinement_timer.reset()
         return str(await answer)
 
     def _tend_refinement(self) -> None:
@@ -385,6 +393,10 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         elif self._refinement_wanted and not self._refinement_awaited and isinstance(localizer, Localizer):
             localizer.begin_refinement()
             self._refinement_awaited, self._refinement_wanted = self._refinement_wanted, []
+        # In this order: in another thread somebody may just come to want one.
+        self._refinement_timer.cancel()
+        if self._refinement_wanted or self._refinement_awaited:
+            self._refinement_timer.reset()
 
     def _take_refinement(self, localizer: AnyLocalizer | None) -> str:
         if not isinstance(localizer, Localizer) or not localizer.take_refinement():

@@ -19,9 +19,6 @@ from g2_recon.nodes.replay_node import ReplayNode
 from g2_recon.nodes.ros import run_together
 from g2_recon.nodes.sweep_node import SweepNode
 
-# One for a reconstruction, the others for what goes on meanwhile.
-_THREADS = 3
-
 STAGES: dict[str, dict[str, Callable[[], Node]]] = {
     "vertical": {
         "localizer_node": LocalizerNode,
@@ -70,7 +67,7 @@ def main(args: Sequence[str] | None = None) -> int:
             "replay_node:exit_when_done:=false",
         ]
     extra = [word for parameter in parameters for word in ("-p", parameter)]
-    return run_together(list(nodes.values()), [*given, *(["--ros-args", *extra] if extra else [])], threads=_THREADS)
+    return run_together(list(nodes.values()), [*given, *(["--ros-args", *extra] if extra else [])])
 
 
 if __name__ == "__main__":

@@ -38,8 +38,6 @@ from g2_recon.reconstruction.result import Reconstruction
 from g2_recon.recording.clouds import write_cloud
 from g2_recon.recording.meshes import write_mesh, write_wire_mesh
 
-# One for the reconstruction, the others for what goes on meanwhile.
-_THREADS = 3
 # So often the thread beside looks for what is to be done; in between, others have the processor.
 _LOOK_S = 0.2
 # A reconstruction that was asked for waits so long for the live one.
@@ -316,7 +314,7 @@ def _config_of(settings: ReconstructParameters) -> dict[str, Any]:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; the exit code."""
-    return run(ReconstructNode, args, threads=_THREADS)
+    return run(ReconstructNode, args)
 
 
 if __name__ == "__main__":

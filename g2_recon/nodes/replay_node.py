@@ -24,7 +24,8 @@ from g2_recon.nodes.stage_node import StageNode
 from g2_recon.recording.bags import RecordedMessage, messages
 
 _SECOND_NS = 1_000_000_000
-_CLOCK_PERIOD_NS = _SECOND_NS // 100
+# As often as `ros2 bag play --clock` does by itself. Each time wakes all nodes that run on it.
+_CLOCK_PERIOD_NS = _SECOND_NS // 40
 _LOG_PERIOD_NS = 5 * _SECOND_NS
 _LONGEST_ACKNOWLEDGMENT = Duration(seconds=5)
 # Best-effort subscribers acknowledge nothing; this long after the last message they have it.

@@ -20,12 +20,13 @@ import rclpy
 from builtin_interfaces.msg import Time
 from numba.core.event import Event, Listener, register
 from numpy.typing import ArrayLike, NDArray
-from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from g2_recon.errors import G2ReconError
 from g2_recon.nodes import conversions
+from g2_recon.nodes.executor import NodeExecutor
 from g2_recon.switching import switch_soon
 
 
@@ -54,19 +55,19 @@ def reliable_qos(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
 
 
-def run(create: Callable[[], Node], args: Sequence[str] | None, *, threads: int = 1) -> int:
+def run(create: Callable[[], Node], args: Sequence[str] | None) -> int:
     """Spin a node as `run_together` does."""
-    return run_together([create], args, threads=threads)
+    return run_together([create], args)
 
 
-def run_together(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, *, threads: int = 1) -> int:
+def run_together(create: Sequence[Callable[[], Node]], args: Sequence[str] | None) -> int:
     """Spin nodes until they are told to stop, or the future `finished` of one that has it is done; the exit code.
 
     0 after SIGINT, SIGTERM, a shutdown or a finished node; 1, with one line, where a node cannot start because of what
     it was given.
     """
     with _interrupted_once():
-        return _run(create, args, threads)
+        return _run(create, args)
 
 
 class _Interrupted(BaseException):
@@ -92,19 +93,19 @@ def _interrupted_once() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None, threads: int) -> int:
+def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None) -> int:
     try:
         rclpy.init(args=None if args is None else list(args))
     except RuntimeError as error:
         rclpy.logging.get_logger("g2_recon").fatal(" ".join(str(error).split()))
         return 1
     nodes: list[Node] = []
-    executor: Executor | None = None
+    executor: NodeExecutor | None = None
     say_when_kernels_compile()
     switch_soon()
     try:
         # Before the nodes, which take a while: rclpy complains of an executor made when a signal has ended its context.
-        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+        executor = NodeExecutor()
         nodes.extend(make() for make in create)
         # What was imported stays: to look through it again and again for garbage would hold all threads for 0.1 s.
         gc.freeze()

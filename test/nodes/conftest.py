@@ -19,9 +19,10 @@ import pytest
 try:
     import rclpy
     from builtin_interfaces.msg import Time
-    from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
     from sensor_msgs.msg import LaserScan
     from std_msgs.msg import Header
+
+    from g2_recon.nodes.executor import NodeExecutor
 except ImportError:
     if os.environ.get("CI") == "true" and platform.machine() == "x86_64":
         raise
@@ -46,10 +47,10 @@ class Ros:
             node.destroy_node()
         rclpy.shutdown()
 
-    def add(self, create: Callable[[], Any], *, threads: int = 1) -> Any:
+    def add(self, create: Callable[[], Any]) -> Any:
         """Create a node and let it run."""
         node = create()
-        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+        executor = NodeExecutor()
         executor.add_node(node)
         thread = threading.Thread(target=executor.spin)
         self._running.append((node, executor, thread))

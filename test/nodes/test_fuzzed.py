@@ -125,7 +125,7 @@ def robot(module_ros_with):
     harness = module_ros_with(*MOUNTED)
     harness.localizer = harness.add(LocalizerNode)
     harness.registrar = harness.add(RegistrarNode)
-    harness.reconstruction = harness.add(ReconstructNode, threads=3)
+    harness.reconstruction = harness.add(ReconstructNode)
     harness.to = {
         topic: harness.publisher(kind, topic)
         for kind, topic in (

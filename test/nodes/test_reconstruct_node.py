@@ -46,7 +46,7 @@ def node(ros):
 
     def start(*arguments):
         harness = ros(*SMALL, *arguments)
-        harness.node = harness.add(ReconstructNode, threads=4)
+        harness.node = harness.add(ReconstructNode)
         harness.diagnostics = harness.collect(DiagnosticArray, "/diagnostics")
 
         def send(cloud, frame="map", topic="cloud"):

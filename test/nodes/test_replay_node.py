@@ -89,9 +89,9 @@ def test_the_clock_runs_with_the_recording(replay):
     stamps = [conversions.stamp_seconds(message.clock) for message in recording.clock]
     assert stamps == sorted(stamps)
     assert (stamps[0], stamps[-1]) == (pytest.approx(1000.0, abs=0.05), pytest.approx(1001.9))
-    # 100 times a second of wall time; a busy machine skips some, but none comes sooner.
+    # 40 times a second of wall time; a busy machine skips some, but none comes sooner.
     assert len(stamps) > 10
-    assert np.median(np.diff(stamps)) > 0.9 * 2.0 / 100
+    assert np.median(np.diff(stamps)) > 0.9 * 2.0 / 40
 
 
 def test_the_replay_ends_when_all_is_sent(replay):
