@@ -108,7 +108,7 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         self._gaps: dict[tuple[str, int], list[_Gap]] = {}
         self._asked_keyframes: dict[str, tuple[int, float]] = {}
         self._work: tuple[Work | StoredSweepWork, Future[Made | Placed]] | None = None
-        self._rest_until = self._grew_at = self._sent_at = -math.inf
+        self._rest_until = self._grew_at = -math.inf
         self._merging_takes = 0.0
 
     def _new_source(self) -> int:
@@ -127,10 +127,10 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         for period, action in (
             (_WATCH_PERIOD_S, self._watch),
             (_MERGE_PERIOD_S, self._merge),
-            (_SEND_PERIOD_S, self._send),
             (1.0, self._publish_alignments),
         ):
             self.create_timer(period, action, clock=self.steady_clock)
+        self._sending_timer = self.create_timer(_GATHER_S, self._send, clock=self.steady_clock)
         if self.settings.publish_tf and self._transforms.available:
             self.create_timer(_TF_PERIOD_S, self._send_transforms, clock=self.steady_clock)
 
@@ -313,16 +313,18 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         self._take_back(gone)
         self._gone |= dict.fromkeys(gone)
         end = monotonic() + _SEND_S
-        if end < self._sent_at + _GATHER_S:
-            return
         for stamp, points, piece in cloud.sent():
             head = conversions.header(conversions.stamp_message(stamp), self.settings.world_frame)
             # A message without points could not say of which piece it has none.
             shown = points if len(points) else Cloud(np.full((1, 3), np.nan))
             self._cloud_publisher.publish(conversions.cloud_to_message(head, shown, piece))
             if monotonic() > end:
-                return
-        self._sent_at = end
+                rest = _SEND_PERIOD_S
+                break
+        else:
+            rest = _GATHER_S
+        self._sending_timer.timer_period_ns = int(1e9 * rest)
+        self._sending_timer.reset()
 
     def _take_back(self, sources: Any) -> None:
         head = conversions.header(self._newest_stamp, self.settings.world_frame)

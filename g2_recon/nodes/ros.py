@@ -111,11 +111,10 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None) -> in
         gc.freeze()
         for node in nodes:
             executor.add_node(node)
-        finished = next((node.finished for node in nodes if hasattr(node, "finished")), None)
-        if finished is None:
-            executor.spin()
-        else:
-            executor.spin_until_future_complete(finished)
+        futures = [node.finished for node in nodes if hasattr(node, "finished")]
+        # As spin_until_future_complete, which leaves a callback in the future for each message that comes.
+        while rclpy.ok() and not any(future.done() for future in futures):
+            executor.spin_once()
     except G2ReconError as error:
         rclpy.logging.get_logger("g2_recon").fatal(str(error))
         return 1

@@ -70,20 +70,24 @@ def test_a_node_that_is_told_to_stop_ends_with_0_and_without_a_traceback(ros, st
 def test_a_node_that_is_interrupted_while_it_is_made_ends_with_0(tmp_path):
     """Imports go through `exec`, where Python remembers a KeyboardInterrupt for the end of `python -m`."""
     (tmp_path / "interrupted.py").write_text("""
-import sys
+import faulthandler, sys
 from g2_recon.nodes.ros import run
 
+faulthandler.dump_traceback_later(15)
 INTERRUPT = "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(9)"
 sys.exit(run(lambda: exec(INTERRUPT), None))
 """)
-    process = subprocess.run(
-        [sys.executable, "-m", "interrupted"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
-        capture_output=True,
-        text=True,
-        timeout=20,
-    )
+    try:
+        process = subprocess.run(
+            [sys.executable, "-m", "interrupted"],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+            capture_output=True,
+            text=True,
+            timeout=20,
+        )
+    except subprocess.TimeoutExpired as late:
+        pytest.fail(f"it did not end; where it was after 15 s:\n{late.stderr}")
     assert (process.returncode, process.stderr) == (0, "")
 
 
