@@ -252,7 +252,7 @@ def follow_table() -> Table:
     recording = read_recording(BUNDLED, RecordingConfig())
     rows = []
     # The points are compared one by one.
-    every_scan = RegistrationConfig(new_points=0.0, standing_scans=len(recording.scans_vertical))
+    every_scan = RegistrationConfig(new_points=0.0, scan_distance=0.0)
     for name, error in (("as localized", None), ("with an error", np.array([0.5, 0.0, np.radians(2.0)]))):
         followed, registrar, trajectory, seconds = live(recording, every_scan, error)
         end = pipeline.register(recording, trajectory, RegistrationConfig()).cloud

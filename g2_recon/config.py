@@ -163,11 +163,19 @@ class RegistrationConfig(_Model):
         ge=0,
         le=100_000_000,
     )
-    standing_scans: int = _setting(
-        30,
-        "live: so many scans are enough from one place where the robot stands; others are counted",
-        ge=1,
-        le=100_000_000,
+    scan_distance: float = _setting(
+        0.05,
+        "live: a scan is needed where the robot has moved this far since the last one that was ...",
+        "m",
+        ge=0,
+        le=10,
+    )
+    scan_angle: float = _setting(
+        round(math.radians(1.0), 4),
+        "... or has turned this far; others are counted, not handed out; either 0: all are needed",
+        "rad",
+        ge=0,
+        le=math.pi,
     )
     new_points: float = _setting(
         0.1,

@@ -43,7 +43,7 @@ def warm_up() -> None:
 
 def warm_up_registration() -> None:
     """The same for the kernels of registration only."""
-    registrar = Registrar(RegistrationConfig(), np.eye(4))
+    registrar = Registrar(RegistrationConfig(), np.eye(4), keep_scans=True)
     registrar.add_pose(0.0, np.eye(4))
     registrar.add_scan(Scan(0.0, np.ones(2, np.float32), 0.0, 1.0))
     points = np.random.default_rng(0).uniform(-2.0, 2.0, (1000, 3))

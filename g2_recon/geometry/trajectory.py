@@ -15,9 +15,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 
-STANDING_M, STANDING_RAD = 0.02, 0.01
-"""A robot that has moved less than this stands: a localizer is surer of its place than that."""
-
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:

@@ -22,7 +22,7 @@ from g2_recon.geometry import se2
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.se2_kernels import compose, inverse_3x3, is_within, relative
 from g2_recon.geometry.session import LastScan, ScanPoses, Session, SessionGrowth
-from g2_recon.geometry.trajectory import STANDING_M, STANDING_RAD, Trajectory
+from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization import refinement
 from g2_recon.localization.beams import SURFACE, Beams, beams
 from g2_recon.localization.keyframes import Keyframes
@@ -51,6 +51,8 @@ _FASTEST = np.array([5.0, 5.0, 5.0])
 # So much may it change from scan to scan, m/s, m/s, rad/s.
 _MOST_SUDDEN = np.array([1.0, 1.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
+# A robot that has moved less than this stands: the localizer is surer of its place than that.
+_STANDING_M, _STANDING_RAD = 0.02, 0.01
 # A direction in which nothing is known has this information.
 _NEARLY_NOTHING = 1e-4 * np.eye(3)
 # Along a direction in which corners tell where a scan is, there is at least so much more of it, 1 / m^2.
@@ -245,7 +247,7 @@ class Localizer:
         # The trajectory of a live robot does not grow while it stands.
         if not self._keep_scans and self._owners and owner == self._owners[-1] and not keyframe:
             x, y, yaw = self._offsets[-3:]
-            if max(abs(offset[0] - x), abs(offset[1] - y)) < STANDING_M and abs(offset[2] - yaw) < STANDING_RAD:
+            if max(abs(offset[0] - x), abs(offset[1] - y)) < _STANDING_M and abs(offset[2] - yaw) < _STANDING_RAD:
                 return
         self._stamps.append(stamp)
         self._owners.append(owner)

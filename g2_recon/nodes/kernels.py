@@ -18,7 +18,7 @@ _LATE = {
         "localization.uncertainty:_led_on",
     ),
     "localization": ("localization.loop_closure:register", "localization.branch_and_bound:find_places"),
-    "registration": ("registration.placing:place_beams",),
+    "registration": ("registration.placing:pose_at",),
     "reconstruction": (
         "reconstruction.normals:_fit_local_planes",
         "reconstruction.flat_submaps:_train",

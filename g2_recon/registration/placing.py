@@ -56,6 +56,20 @@ def place_beams(in_laser, times, stamps, positions, quaternions, T_base_laser, m
 
 
 @numba.njit(cache=True, nogil=True)
+def pose_at(time, stamps, positions, quaternions):  # type: ignore[no-untyped-def]
+    """Position (3,), m, and quaternion (4,), x y z w, of the robot at a time in seconds, by one or more poses.
+
+    Between two poses as for `place_beams`; before the first and after the last one it stands there.
+    """
+    right = min(np.searchsorted(stamps, time), len(stamps) - 1)
+    left = max(right - 1, 0)
+    gap = stamps[right] - stamps[left]
+    share = 1.0 if gap == 0.0 else min(max((time - stamps[left]) / gap, 0.0), 1.0)
+    quaternion = _slerp(quaternions[left], quaternions[right], share)
+    return (1.0 - share) * positions[left] + share * positions[right], np.array(quaternion)
+
+
+@numba.njit(cache=True, nogil=True)
 def _slerp(a, b, share):  # type: ignore[no-untyped-def]
     """The unit quaternion a share of the shortest way from `a` to `b`."""
     cos = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from g2_recon.config import RegistrationConfig
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.scan import Scan
-from g2_recon.geometry.trajectory import STANDING_M, STANDING_RAD, Trajectory
+from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.geometry.voxels import VoxelCounts, VoxelFilter, sided_voxel_numbers
 from g2_recon.registration.corrected_trajectory import CorrectedTrajectory, Poses
-from g2_recon.registration.placing import place_beams
+from g2_recon.registration.placing import place_beams, pose_at
 from g2_recon.registration.registered_cloud import RegisteredCloud
 
 Float = NDArray[np.float64]
@@ -60,9 +60,9 @@ class Registrar:
 
     With `keep_scans` the cloud follows the localizer: `follow` tells where its keyframes are now, and `renew` hands out
     anew, piece by piece, what has moved. A piece is the scans between two calls of `follow`, or fewer. It takes memory
-    for each scan, up to `kept_scans`, and for the poses around it. While the robot stands, `standing_scans` are enough,
-    and of what it sees again, scans of which a share of `new_points` lies where there was nothing; others are not
-    handed out, and counted as `redundant`.
+    for each scan, up to `kept_scans`, and for the poses around it. A scan is needed where the robot has moved by
+    `scan_distance` or turned by `scan_angle` since the last one that was, and where a share of `new_points` of what it
+    sees lies where there was nothing; others are not handed out, and counted as `redundant`.
     """
 
     def __init__(self, config: RegistrationConfig, T_base_laser: ArrayLike, *, keep_scans: bool = False) -> None:
@@ -93,8 +93,8 @@ class Registrar:
         self._known = VoxelCounts()
         self._unsettled: list[int] = []
         self.released = 0
-        # Where the robot came to stand, as position and quaternion, and how many scans there are from there.
-        self._standing: tuple[Float, Float, int] | None = None
+        # Where the robot was at the last scan that was needed, as position and quaternion.
+        self._last_needed: tuple[Float, Float] | None = None
         self.redundant = 0
 
     def configure(self, config: RegistrationConfig) -> None:
@@ -190,7 +190,7 @@ class Registrar:
         poses = self._trajectory.between(piece.first, piece.last)
         clouds = [placed for scan in piece.scans if isinstance(placed := self._place(scan, poses), Cloud)]
         placed_anew = concatenate(clouds)
-        self._see(piece, np.unique(sided_voxel_numbers(placed_anew, _KNOWN_CUBE_M)))
+        self._see(piece, np.unique(_cubes(placed_anew)))
         cloud = self._thinned(placed_anew, self._new_filter())
         return RegisteredCloud(max(scan.stamp for scan in piece.scans), cloud, number, piece.revision)
 
@@ -247,25 +247,26 @@ class Registrar:
             return
         number = self._open
         if self._keep_scans:
-            cubes = sided_voxel_numbers(placed, _KNOWN_CUBE_M)
-            new = np.count_nonzero(self._known.of(cubes) == 0)
-            if self._stands(poses) or new < self._config.new_points * len(cubes):
+            pose = pose_at(scan.stamp, *poses)
+            if not (self._has_moved_on(*pose) and self._sees_enough_new(cubes := _cubes(placed))):
                 self.redundant += 1
                 return
+            self._last_needed = pose
             number = self._keep(scan, first, last, cubes)
         self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), number))
 
-    def _stands(self, poses: Poses) -> bool:
-        """Whether there are enough scans from where the robot is at the first of these poses."""
-        position, quaternion = poses.positions[0], poses.quaternions[0]
-        if self._standing is not None:
-            there, turned, count = self._standing
-            alike = abs(turned @ quaternion)  # cosine of half the angle between
-            if math.dist(there, position) < STANDING_M and alike > math.cos(STANDING_RAD / 2):
-                self._standing = there, turned, count + 1
-                return count >= self._config.standing_scans
-        self._standing = position.copy(), quaternion.copy(), 1
-        return False
+    def _has_moved_on(self, position: Float, quaternion: Float) -> bool:
+        """Whether the robot is far enough from where it was at the last needed scan."""
+        if self._last_needed is None:
+            return True
+        there, turned = self._last_needed
+        angle = 2.0 * math.acos(min(abs(float(turned @ quaternion)), 1.0))
+        return math.dist(there, position) >= self._config.scan_distance or angle >= self._config.scan_angle
+
+    def _sees_enough_new(self, cubes: NDArray[np.int64]) -> bool:
+        """Whether enough of the cubes (N,), one a point, are not known."""
+        new = np.count_nonzero(self._known.of(cubes) == 0)
+        return bool(new >= self._config.new_points * len(cubes))
 
     def _place(self, scan: Scan, poses: Poses) -> Cloud | str:
         """The points of a scan, or why it cannot be placed."""
@@ -327,3 +328,8 @@ class Registrar:
     @staticmethod
     def _thinned(cloud: Cloud, voxels: VoxelFilter | None) -> Cloud:
         return cloud if voxels is None else cloud.select(voxels.first(cloud.points))
+
+
+def _cubes(cloud: Cloud) -> NDArray[np.int64]:
+    """The number, for each point (N,), of the cube in which it is and of the side from which it was seen."""
+    return sided_voxel_numbers(cloud, _KNOWN_CUBE_M)

@@ -84,7 +84,7 @@ def test_no_scan_is_lost_when_poses_come_late(drive):
     for step in range(20):
         robot.scan(100.0 + 0.05 * step)
     for step in range(22):
-        robot.pose(99.95 + 0.05 * step)
+        robot.pose(99.95 + 0.05 * step, (0.1 * step, 0.0, 0.0))
     robot.wait_until(lambda: len(robot.clouds) == 20)
 
 
@@ -111,7 +111,7 @@ def test_one_wrong_stamp_far_ahead_takes_nothing_back(drive):
     robot.scan(1e6)
     robot.pose(100.1)
     robot.scan(100.2)
-    robot.pose(100.3)
+    robot.pose(100.3, (0.2, 0.0, 0.0))
     robot.wait_until(lambda: len(robot.clouds) >= 2)
     assert [conversions.piece_from_message(cloud).number for cloud in robot.clouds] == [0, 0]
     robot.wait_until(lambda: value(robot.diagnostics, "dropped: pose far ahead of all others") == "1")

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from g2_recon.geometry import se3
 from g2_recon.geometry.trajectory import Trajectory
-from g2_recon.registration.placing import place_beams
+from g2_recon.registration.placing import place_beams, pose_at
 
 MOUNT = se3.from_xyz_rpy([0.1, -0.2, 0.6, 0.2, -1.4, 0.3])
 
@@ -52,3 +52,22 @@ def test_a_single_pose_holds_for_its_own_time_only():
     times = np.array([one.stamps[0], one.stamps[0] + 1e-3])
     known = place_beams(np.ones((2, 2)), times, one.stamps, one.positions, one.quaternions, MOUNT, 1.0)[2]
     assert known.tolist() == [True, False]
+
+
+def test_the_pose_at_a_time_is_that_of_plain_numpy():
+    trajectory = poses(20)
+    arrays = trajectory.stamps, trajectory.positions, trajectory.quaternions
+    begin, end = trajectory.stamps[[0, -1]]
+    for time in np.r_[np.random.default_rng(1).uniform(begin, end, 50), trajectory.stamps]:
+        pose = se3.from_quaternion(*(np.array([part]) for part in pose_at(time, *arrays)))
+        np.testing.assert_allclose(pose, trajectory.interpolate([time])[0], atol=1e-9)
+
+
+def test_before_the_first_pose_and_after_the_last_one_the_robot_stands():
+    for count in (1, 5):
+        trajectory = poses(count)
+        arrays = trajectory.stamps, trajectory.positions, trajectory.quaternions
+        for time, row in ((trajectory.stamps[0] - 1.0, 0), (trajectory.stamps[-1] + 1.0, -1)):
+            position, quaternion = pose_at(time, *arrays)
+            np.testing.assert_allclose(position, trajectory.positions[row])
+            np.testing.assert_allclose(abs(quaternion @ trajectory.quaternions[row]), 1.0)

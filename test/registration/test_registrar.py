@@ -276,7 +276,7 @@ def test_a_released_scan_is_not_replaced_by_later_ones_of_its_piece():
 
 
 def test_pieces_are_small_though_the_robot_stands_and_no_keyframe_comes():
-    stage = Registrar(RegistrationConfig(standing_scans=300), UP, keep_scans=True)
+    stage = Registrar(RegistrationConfig(scan_distance=0), UP, keep_scans=True)
     for step in range(300):
         stage.add_pose(0.1 * step, moving(0))
         stage.add_scan(scan(0.1 * step, np.ones(181)))
@@ -286,19 +286,34 @@ def test_pieces_are_small_though_the_robot_stands_and_no_keyframe_comes():
     assert len(counts) == 19
 
 
-def test_from_a_robot_that_stands_some_scans_are_enough_until_it_moves_on():
+def test_scans_are_needed_where_the_robot_has_moved_on_or_turned():
     rng = np.random.default_rng(0)
-    stage = Registrar(RegistrationConfig(standing_scans=5), UP, keep_scans=True)
-    # It stands at 0 m, drives on, turns at 1 m and stands at 2 m; what it is told of its place is off by millimetres.
-    way = [(0, 0, 0)] * 50 + [(0.1 * k, 0, 0) for k in range(1, 11)] + [(1, 0, 0.1 * k) for k in range(1, 11)]
-    way += [(2, 0, 0)] * 50
+    stage = Registrar(RegistrationConfig(scan_distance=0.1, scan_angle=0.05), UP, keep_scans=True)
+    # It stands at 0 m, drives on, turns at 1 m and stands there; what it is told of its place is off by millimetres.
+    way = [(0, 0, 0)] * 50 + [(0.05 * k, 0, 0) for k in range(1, 21)] + [(1, 0, 0.03 * k) for k in range(1, 21)]
+    way += [(1, 0, 0.6)] * 50
     for step, pose in enumerate(way):
-        noise = rng.uniform(-0.003, 0.003, 3) * (1, 1, 0.3)
+        noise = rng.uniform(-0.001, 0.001, 3)
         stage.add_pose(0.1 * step, se3.from_se2(np.array(pose) + noise))
         stage.add_scan(scan(0.1 * step))
-    assert len(stage.take()) == stage.kept == 5 + 10 + 10 + 5
-    assert stage.redundant == 2 * 45
+    taken = [round(10 * registered.stamp) for registered in stage.take()]
+    # One of where it stands, and of the others each second or third.
+    assert taken[0] == 0
+    assert 51 <= taken[1] <= 52
+    assert 87 <= taken[-1] <= 90
+    assert set(np.diff(taken[1:])) <= {2, 3}
+    assert stage.kept == len(taken)
+    assert stage.redundant == len(way) - len(taken)
     assert stage.drops == {}
+
+
+@pytest.mark.parametrize("setting", ["scan_distance", "scan_angle"])
+def test_all_scans_are_needed_where_that_is_asked_for(setting):
+    stage = Registrar(RegistrationConfig(**{setting: 0}), UP, keep_scans=True)
+    for step in range(20):
+        stage.add_pose(0.1 * step, moving(0))
+        stage.add_scan(scan(0.1 * step))
+    assert stage.kept == 20
 
 
 def test_a_voxel_keeps_its_first_point():
@@ -417,7 +432,7 @@ def test_a_long_drive_is_placed_anew_with_the_poses_around_its_scans(monkeypatch
     """Ten minutes, half of them standing, then the keyframes are moved: as if all poses had been kept."""
 
     def driven_long():
-        stage = Registrar(RegistrationConfig(standing_scans=3), UP, keep_scans=True)
+        stage = Registrar(RegistrationConfig(), UP, keep_scans=True)
         way = 0.02 * np.where(np.arange(6000) % 1000 < 500, 1.0, 0.0).cumsum()
         keyframes = [(0.0, 0.0)]
         for step, x in enumerate(way):
