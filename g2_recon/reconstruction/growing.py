@@ -14,6 +14,7 @@ import math
 import os
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -61,16 +62,16 @@ _NO_FACES = np.empty((0, 3), np.int64)
 class _Points:
     """All points that may be surface.
 
-    cloud: N of them in the map frame. own: (N, 3) m in a frame of their own. part: (N,) number of the part of each.
+    part: (N,) number of the part of each, row: (N,) which of its points it is. own: (N, 3) m in a frame of their own.
     on_surface: (N,) and neighbors: (N, 8) as phase 0 found them. owner: (N,) the neuron of each, -1 for none.
     """
 
-    cloud: Cloud
+    part: NDArray[np.int32]
+    row: NDArray[np.int32]
     own: Float
-    part: Int
     on_surface: Mask
     neighbors: NDArray[np.int32]
-    owner: Int
+    owner: NDArray[np.int32]
 
     def __len__(self) -> int:
         return len(self.own)
@@ -78,32 +79,61 @@ class _Points:
     def take(self, rows: Int) -> _Points:
         """The points `rows` (M,), each once; a neighbor that is not among them becomes the point itself."""
         return _Points(
-            cloud=self.cloud.select(rows),
-            own=self.own[rows],
             part=self.part[rows],
+            row=self.row[rows],
+            own=self.own[rows],
             on_surface=self.on_surface[rows],
             neighbors=_renumbered(self.neighbors, rows),
             owner=self.owner[rows],
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _State:
-    """What there is after an update.
+    """What there is after an update; a step of the next one changes it in place, so that nothing is there twice.
 
-    neurons: of all submaps, in which `submap` is the name of one; without cells and owners. faces: (F, 3) joined,
-    before creases. loose: (V,) neurons that are new or have lost a face since. noise: m, of the largest surface so far,
-    of `noise_points` points. names: how many were given.
+    clouds: in the map frame, by number of the part. frame: that of the points, None before the first. neurons: of all
+    submaps, in which `submap` is the name of one; without cells and owners. faces: (F, 3) joined, before creases.
+    loose: (V,) neurons that are new or have lost a face since. noise: m, of the largest surface so far, of
+    `noise_points` points. names: how many were given.
     """
 
-    frame: OwnFrame
+    clouds: dict[int, Cloud]
+    frame: OwnFrame | None
     points: _Points
     neurons: Neurons
     faces: Int
     loose: Mask
-    noise: float
-    noise_points: int
-    names: int
+    noise: float = 0.0
+    noise_points: int = 0
+    names: int = 0
+
+    @staticmethod
+    def of_nothing() -> _State:
+        nothing = np.empty((0, 3))
+        neurons = Neurons(nothing, nothing, nothing, _NONE, _NONE.astype(bool), _NO_FACES, _NONE)
+        return _State({}, None, _blank(_NONE, _NONE, nothing), neurons, _NO_FACES, _NONE.astype(bool))
+
+    def cloud(self, rows: Int | None = None) -> Cloud:
+        """The points `rows` (M,), or all, in the map frame."""
+        part, row = self.points.part, self.points.row
+        if rows is not None:
+            part, row = part[rows], row[rows]
+        seen = self.seen_from
+        points = np.empty((len(part), 3))
+        sensor = np.empty((len(part), 3)) if seen else None
+        order = np.argsort(part, kind="stable")
+        for group in np.split(order, np.flatnonzero(np.diff(part[order])) + 1) if len(order) else []:
+            cloud, which = self.clouds[int(part[group[0]])], row[group]
+            points[group] = cloud.points[which]
+            if sensor is not None and cloud.sensor is not None:
+                sensor[group] = cloud.sensor[which]
+        return Cloud(points, sensor)
+
+    @property
+    def seen_from(self) -> bool:
+        """Whether of all clouds it is known where their points were seen from."""
+        return all(cloud.sensor is not None for cloud in self.clouds.values())
 
 
 class GrowingReconstruction:
@@ -114,7 +144,7 @@ class GrowingReconstruction:
         self._config = config
         self._taken: dict[Hashable, tuple[int, Part]] = {}
         self._numbers = 0
-        self._state: _State | None = None
+        self._state = _State.of_nothing()
         self._result: Reconstruction | None = None
 
     def update(self, parts: Mapping[Hashable, Part], *, progress: Progress = silent) -> Reconstruction:
@@ -129,7 +159,8 @@ class GrowingReconstruction:
         try:
             gone, new = self._changes(parts)
             if self._result is None or gone or new:
-                self._state, mesh = _grown(self._take_state(), gone, new, self._config, progress)
+                self._state.clouds = {number: part.cloud for number, part in self._taken.values()}
+                mesh = _grow(self._state, gone, new, self._config, progress)
                 self._result = _result(self._state, mesh, sum(len(part.cloud) for part in parts.values()))
         except BaseException:
             self.reset()
@@ -138,15 +169,10 @@ class GrowingReconstruction:
 
     def reset(self) -> None:
         """Forget all points and submaps: the next update begins from nothing."""
-        self._taken, self._state, self._result = {}, None, None
+        self._taken, self._state, self._result = {}, _State.of_nothing(), None
 
-    def _take_state(self) -> _State | None:
-        """The state, which nobody else has then: what it was goes bit by bit while the next one comes to be."""
-        state, self._state = self._state, None
-        return state
-
-    def _changes(self, parts: Mapping[Hashable, Part]) -> tuple[list[int], list[tuple[int, Cloud]]]:
-        """Numbers of the parts whose points are gone, and clouds that are new, with the numbers of their parts."""
+    def _changes(self, parts: Mapping[Hashable, Part]) -> tuple[list[int], list[_New]]:
+        """Numbers of the parts whose points are gone, and what is new."""
         gone = [number for key, (number, _) in self._taken.items() if key not in parts]
         taken, new = {}, []
         for key, part in parts.items():
@@ -158,10 +184,18 @@ class GrowingReconstruction:
             else:
                 known = len(before.cloud)
             if len(part.cloud) > known:
-                new.append((number, part.cloud.select(np.arange(known, len(part.cloud)))))
+                new.append(_New(number, known, part.cloud.select(np.arange(known, len(part.cloud)))))
             taken[key] = (number, part)
         self._taken = taken
         return gone, new
+
+
+class _New(NamedTuple):
+    """Points that are new: the number of their part, how many of it were known before, and the points."""
+
+    part: int
+    known: int
+    cloud: Cloud
 
 
 def _goes_on(before: Part, part: Part) -> bool:
@@ -177,85 +211,92 @@ def _goes_on(before: Part, part: Part) -> bool:
     return np.array_equal(one.points, other.points) and np.array_equal(one.sensor, other.sensor)
 
 
-def _grown(
-    state: _State | None,
-    gone: list[int],
-    new: list[tuple[int, Cloud]],
-    config: ReconstructionConfig,
-    progress: Progress,
-) -> tuple[_State, Mesh]:
-    """The state and the mesh after parts went and clouds came."""
+def _grow(state: _State, gone: list[int], new: list[_New], config: ReconstructionConfig, progress: Progress) -> Mesh:
+    """The mesh after parts went and others came; the state becomes that of then."""
+    names, anew = _take_in(state, gone, new, config)
+    # Without sensors only the whole tells which side of a surface is the free one.
+    if not state.seen_from or np.count_nonzero(anew) >= _MOST_ANEW * len(anew):
+        _submaps_of_all(state, names, config, progress)
+    else:
+        _leave_out(state, np.unique(names[anew & (names >= 0)]))
+        if gone:
+            _leave_what_has_data(state, config)
+        _submaps_of_some(state, anew, names, config, progress)
+    return _join(state, config, progress)
+
+
+def _take_in(
+    state: _State, gone: list[int], new: list[_New], config: ReconstructionConfig
+) -> tuple[NDArray[np.int32], Mask]:
+    """Take points from the state and put others in; the name (N,) of the submap that each was of, -1 for none, and a
+    mask (N,) of those that are to get a new one."""
     workers = config.workers or os.cpu_count() or 1
-    cloud, part = _possible(new, config, workers)
-    if state is None:
-        return _all_anew(_blank(cloud, cloud.points, part), np.full(len(cloud), -1), 0, config, progress)
-    added = _blank(cloud, state.frame.of(cloud, workers=workers).points, part)
+    cloud, part, row = _possible(new, config, workers)
+    if state.frame is None:
+        # Nothing is known of them: they get their own frame, and what goes with it, all together.
+        state.points = _blank(part, row, cloud.points)
+        return np.full(len(cloud), -1, np.int32), np.ones(len(cloud), bool)
+    added = _blank(part, row, state.frame.of(cloud, workers=workers).points)
     names, own = _names(state), state.points.own
     keep = ~np.isin(state.points.part, gone)
     changed = np.concatenate([own[~keep], added.own])
     near = _near(own, changed, NORMAL_RADIUS * config.spacing, workers)
     stale = np.unique(names[(near | ~keep) & (names >= 0)])
     anew = np.isin(names, stale) | (near & (names < 0))
-    anew = np.concatenate([anew[keep], np.ones(len(added), bool)])
-    del own
     if not keep.all():
-        state = replace(state, points=state.points.take(np.flatnonzero(keep)))
-    state = replace(state, points=_together(state.points, added))
-    names = np.concatenate([names[keep], np.full(len(added), -1)])
-    # Without sensors only the whole tells which side of a surface is the free one.
-    if state.points.cloud.sensor is None or np.count_nonzero(anew) >= _MOST_ANEW * len(state.points):
-        return _all_anew(state.points, names, state.names, config, progress)
-    state = _without(state, stale)
-    if gone:
-        state = _on_data(state, config)
-    return _some_anew(state, anew, names, config, progress)
+        state.points = state.points.take(np.flatnonzero(keep))
+    state.points = _together(state.points, added)
+    nameless = np.full(len(added), -1, np.int32)
+    return np.concatenate([names[keep], nameless]), np.concatenate([anew[keep], np.ones(len(added), bool)])
 
 
-def _possible(new: list[tuple[int, Cloud]], config: ReconstructionConfig, workers: int) -> tuple[Cloud, Int]:
-    """One cloud of what may be surface among new ones, and the number (N,) of the part of each point."""
-    cloud = concatenate([cloud for _, cloud in new])
-    part = np.repeat(np.array([number for number, _ in new], np.int64), [len(cloud) for _, cloud in new])
+def _possible(
+    new: list[_New], config: ReconstructionConfig, workers: int
+) -> tuple[Cloud, NDArray[np.int32], NDArray[np.int32]]:
+    """One cloud of what may be surface of that which is new, the number (N,) of the part of each point and its row."""
+    cloud = concatenate([each.cloud for each in new])
+    part = np.repeat(np.array([each.part for each in new], np.int32), [len(each.cloud) for each in new])
+    row = np.concatenate([np.empty(0, np.int32), *(each.known + np.arange(len(each.cloud)) for each in new)])
+    row = row.astype(np.int32)
     finite = np.asarray(np.isfinite(cloud.points).all(axis=1))
     if cloud.sensor is not None:
         finite &= np.isfinite(cloud.sensor).all(axis=1)
-    if not finite.all():
-        cloud, part = cloud.select(finite), part[finite]
-    near = near_sensor(cloud, config.min_sensor_distance, workers)
-    return (cloud.select(~near), part[~near]) if near.any() else (cloud, part)
+    possible = finite & ~near_sensor(cloud, config.min_sensor_distance, workers)
+    return (cloud, part, row) if possible.all() else (cloud.select(possible), part[possible], row[possible])
 
 
-def _all_anew(
-    points: _Points, names: Int, given: int, config: ReconstructionConfig, progress: Progress
-) -> tuple[_State, Mesh]:
-    """As for a cloud that does not grow. given: how many names of submaps."""
-    check_enough(points.cloud, len(points))
+def _submaps_of_all(state: _State, names: NDArray[np.int32], config: ReconstructionConfig, progress: Progress) -> None:
+    """Phases 0 to 2 as for a cloud that does not grow. names: (N,) of the submap that each point was of."""
+    surface, order = _surface_of_all(state, config, progress)
+    rows = np.arange(len(surface))
+    state.neurons, state.faces, state.loose = _State.of_nothing().neurons, _NO_FACES, _NONE.astype(bool)
+    state.noise, state.noise_points = 0.0, 0
+    state.points = _with_surface(state.points, rows, surface.neighbors)
+    _add_submaps(state, rows, surface, names[order[: len(surface)]], config, progress)
+
+
+def _surface_of_all(state: _State, config: ReconstructionConfig, progress: Progress) -> tuple[SurfacePoints, Int]:
+    """Phase 0: the surface of all points, which the state then has in the order (N,) of the surface."""
     workers = config.workers or os.cpu_count() or 1
-    frame = own_frame(points.cloud.points)
-    own = frame.of(points.cloud, workers=workers)
-    surface = reported(lambda: find_surface(own, config, workers), "normals", progress)
+    cloud = state.cloud()
+    check_enough(cloud, len(cloud))
+    part, row = state.points.part, state.points.row
+    # Nothing else that was known of them counts.
+    state.points = _State.of_nothing().points
+    state.frame = own_frame(cloud.points)
+    cloud = state.frame.of(cloud, workers=workers)
+    surface = reported(lambda: find_surface(cloud, config, workers), "normals", progress)
     # In the order of the surface, so that all that follows is the same to the last bit.
-    others = np.ones(len(points), bool)
+    others = np.ones(len(cloud), bool)
     others[surface.kept] = False
     order = np.concatenate([surface.kept, np.flatnonzero(others)])
-    rows = np.arange(len(surface))
-    ordered = np.concatenate([surface.points, own.points[others]])
-    points = _blank(points.cloud.select(order), ordered, points.part[order])
-    state = _State(
-        frame,
-        _with_surface(points, rows, surface.neighbors),
-        _no_neurons(),
-        _NO_FACES,
-        _NONE.astype(bool),
-        0.0,
-        0,
-        given,
-    )
-    return _joined(_with_submaps(state, rows, surface, names[surface.kept], config, progress), config, progress)
+    state.points = _blank(part[order], row[order], np.concatenate([surface.points, cloud.points[others]]))
+    return surface, order
 
 
-def _some_anew(
-    state: _State, anew: Mask, names: Int, config: ReconstructionConfig, progress: Progress
-) -> tuple[_State, Mesh]:
+def _submaps_of_some(
+    state: _State, anew: Mask, names: NDArray[np.int32], config: ReconstructionConfig, progress: Progress
+) -> None:
     """New submaps of the points `anew` (N,) beside those there are.
 
     names: (N,) of the submap that each point was of, -1 for none.
@@ -264,29 +305,34 @@ def _some_anew(
     points = state.points
     company = _near(points.own, points.own[anew], _COMPANY * NORMAL_RADIUS * config.spacing, workers)
     rows = np.flatnonzero(anew | company)
-    points = replace(points, on_surface=points.on_surface & ~anew, owner=np.where(anew, -1, points.owner))
-    state = replace(state, points=points)
-    if not anew.any():
-        return _joined(state, config, progress)
+    state.points = replace(
+        points, on_surface=points.on_surface & ~anew, owner=np.where(anew, np.int32(-1), points.owner)
+    )
+    if not anew.any() or state.frame is None:
+        return
+    around = state.frame.of(state.cloud(rows), workers=workers)
     try:
-        around = state.frame.of(points.cloud.select(rows), workers=workers)
         surface = reported(lambda: find_surface(around, config, workers), "normals", progress)
         rows = rows[surface.kept]
         mine = anew[rows]
         links = rows[surface.neighbors[mine]].astype(np.int32)
-        state = replace(state, points=_with_surface(points, rows[mine], links))
+        state.points = _with_surface(state.points, rows[mine], links)
         if mine.any():
-            state = _with_submaps(state, rows[mine], _part_of(surface, mine), names[rows[mine]], config, progress)
+            _add_submaps(state, rows[mine], _part_of(surface, mine), names[rows[mine]], config, progress)
     except InputError:
         # There is no surface here yet; more points may make one.
         pass
-    return _joined(state, config, progress)
 
 
-def _with_submaps(
-    state: _State, rows: Int, surface: SurfacePoints, names: Int, config: ReconstructionConfig, progress: Progress
-) -> _State:
-    """Phases 1 and 2: the state with submaps of a surface, whose points (n,) are the points `rows`.
+def _add_submaps(
+    state: _State,
+    rows: Int,
+    surface: SurfacePoints,
+    names: NDArray[np.int32],
+    config: ReconstructionConfig,
+    progress: Progress,
+) -> None:
+    """Phases 1 and 2: submaps of a surface, whose points (n,) are the points `rows`.
 
     names: (n,) of the submap that each point was of; the submap that most of its points go to inherits it.
     Raises InputError where there is no patch of surface.
@@ -301,7 +347,8 @@ def _with_submaps(
     inherited, given = _inherited(clusters.label, names, len(clusters), state.names)
     owners = state.points.owner.copy()
     owners[rows] = np.where(new.owner >= 0, len(known.places) + new.owner, -1)
-    neurons = Neurons(
+    state.points = replace(state.points, owner=owners)
+    state.neurons = Neurons(
         places=np.concatenate([known.places, new.places]),
         normals=np.concatenate([known.normals, new.normals]),
         centers=np.concatenate([known.centers, new.centers]),
@@ -310,26 +357,19 @@ def _with_submaps(
         cells=len(known.places) + new.cells,
         owner=_NONE,
     )
-    return replace(
-        state,
-        points=replace(state.points, owner=owners),
-        neurons=neurons,
-        loose=np.concatenate([state.loose, np.ones(len(new.places), bool)]),
-        noise=noise,
-        noise_points=noise_points,
-        names=given,
-    )
+    state.loose = np.concatenate([state.loose, np.ones(len(new.places), bool)])
+    state.noise, state.noise_points, state.names = noise, noise_points, given
 
 
-def _joined(state: _State, config: ReconstructionConfig, progress: Progress) -> tuple[_State, Mesh]:
-    """Phases 3 and 4: the state with the cells of new submaps joined to the faces there are, and the mesh."""
+def _join(state: _State, config: ReconstructionConfig, progress: Progress) -> Mesh:
+    """Phases 3 and 4: join the cells of new submaps to the faces there are; the mesh."""
     workers = config.workers or os.cpu_count() or 1
     check_covered(state.neurons.places)
     rows = np.flatnonzero(state.points.on_surface)
-    neurons = replace(state.neurons, owner=state.points.owner[rows])
+    neurons = replace(state.neurons, owner=state.points.owner[rows].astype(np.int64))
     data = data_of(state.points.own[rows], _renumbered(state.points.neighbors, rows), config, workers)
 
-    def work() -> tuple[_State, Mesh]:
+    def work() -> Mesh:
         sound = sound_cells(neurons, data, state.faces)
         joined = join(neurons, sound, data, config)
         # Elsewhere the front would only try again what it could not do before.
@@ -337,29 +377,30 @@ def _joined(state: _State, config: ReconstructionConfig, progress: Progress) -> 
         joined = Sheet(joined.vertices, joined.faces[where], joined.submap[where])
         mesh = finished(joined, neurons, data, config)
         check_covered(mesh.faces)
-        settled = replace(state.neurons, cells=_NO_FACES)
-        return replace(state, neurons=settled, faces=joined.faces, loose=np.zeros(len(state.loose), bool)), mesh
+        state.neurons, state.faces = replace(state.neurons, cells=_NO_FACES), joined.faces
+        state.loose = np.zeros(len(state.loose), bool)
+        return mesh
 
     return reported(work, "joining", progress)
 
 
-def _on_data(state: _State, config: ReconstructionConfig) -> _State:
-    """The state without the faces under which points are gone."""
+def _leave_what_has_data(state: _State, config: ReconstructionConfig) -> None:
+    """Take the faces away under which points are gone."""
     workers = config.workers or os.cpu_count() or 1
     near = config.support_distance or config.spacing
     grid = point_grid(state.points.own, cell=near / math.sqrt(3))
     stays = supported(state.neurons.places, state.faces, grid, near, workers)
-    loose = state.loose.copy()
-    loose[state.faces[~stays]] = True
-    return replace(state, faces=state.faces[stays], loose=loose)
+    state.loose = state.loose.copy()
+    state.loose[state.faces[~stays]] = True
+    state.faces = state.faces[stays]
 
 
-def _without(state: _State, stale: Int) -> _State:
-    """The state without the submaps of these names, and the faces that touch them."""
+def _leave_out(state: _State, stale: Int) -> None:
+    """Take the submaps of these names away, and the faces that touch them."""
     known = state.neurons
     keep = ~np.isin(known.submap, stale)
     number = np.where(keep, np.cumsum(keep) - 1, -1)
-    neurons = Neurons(
+    state.neurons = Neurons(
         places=known.places[keep],
         normals=known.normals[keep],
         centers=known.centers[keep],
@@ -369,25 +410,22 @@ def _without(state: _State, stale: Int) -> _State:
         owner=_NONE,
     )
     owner = state.points.owner
+    owner = np.where(owner >= 0, number[owner], -1).astype(np.int32)
+    state.points = replace(state.points, owner=owner)
     stays = keep[state.faces].all(axis=1)
     loose = np.zeros(len(keep), bool)
     loose[state.faces[~stays]] = True
-    return replace(
-        state,
-        points=replace(state.points, owner=np.where(owner >= 0, number[owner], -1)),
-        neurons=neurons,
-        faces=number[state.faces[stays]],
-        loose=loose[keep],
-    )
+    state.loose = loose[keep]
+    state.faces = number[state.faces[stays]]
 
 
-def _names(state: _State) -> Int:
+def _names(state: _State) -> NDArray[np.int32]:
     """The name (N,) of the submap of each point, -1 for none."""
     owner = state.points.owner
-    return np.where(owner >= 0, np.append(state.neurons.submap, -1)[owner], -1)
+    return np.where(owner >= 0, np.append(state.neurons.submap, -1)[owner], -1).astype(np.int32)
 
 
-def _inherited(label: Int, before: Int, count: int, given: int) -> tuple[Int, int]:
+def _inherited(label: Int, before: NDArray[np.int32], count: int, given: int) -> tuple[Int, int]:
     """Names (count,) of clusters, and how many have been given now.
 
     label: (n,) cluster of each point and before: (n,) its name before, -1 for none. Those that share the most points
@@ -406,19 +444,24 @@ def _inherited(label: Int, before: Int, count: int, given: int) -> tuple[Int, in
     return names, given + len(new)
 
 
-def _blank(cloud: Cloud, own: Float, part: Int) -> _Points:
-    """Points of which nothing is known yet."""
-    rows = np.arange(len(cloud), dtype=np.int32)
+def _blank(part: NDArray[Any], row: NDArray[Any], own: Float) -> _Points:
+    """Points of which nothing else is known yet."""
+    itself = np.arange(len(own), dtype=np.int32)
     return _Points(
-        cloud, own, part, np.zeros(len(cloud), bool), np.repeat(rows[:, None], SECTORS, axis=1), np.full(len(cloud), -1)
+        part=part.astype(np.int32),
+        row=row.astype(np.int32),
+        own=own,
+        on_surface=np.zeros(len(own), bool),
+        neighbors=np.repeat(itself[:, None], SECTORS, axis=1),
+        owner=np.full(len(own), -1, np.int32),
     )
 
 
 def _together(one: _Points, other: _Points) -> _Points:
     return _Points(
-        cloud=concatenate([one.cloud, other.cloud]),
-        own=np.concatenate([one.own, other.own]),
         part=np.concatenate([one.part, other.part]),
+        row=np.concatenate([one.row, other.row]),
+        own=np.concatenate([one.own, other.own]),
         on_surface=np.concatenate([one.on_surface, other.on_surface]),
         neighbors=np.concatenate([one.neighbors, len(one) + other.neighbors]),
         owner=np.concatenate([one.owner, other.owner]),
@@ -473,7 +516,8 @@ def _result(state: _State, mesh: Mesh, count: int) -> Reconstruction:
     """The result from a mesh in the frame of the points, of `count` points that came."""
     points, neurons = state.points, state.neurons
     owned = points.owner >= 0
-    mesh = replace(mesh, vertices=state.frame.back(mesh.vertices))
+    if state.frame is not None:
+        mesh = replace(mesh, vertices=state.frame.back(mesh.vertices))
     left_out = {
         "not finite or nearer to the sensor than min_sensor_distance": count - len(points),
         "on no surface": int(np.count_nonzero(~points.on_surface)),
@@ -487,8 +531,3 @@ def _result(state: _State, mesh: Mesh, count: int) -> Reconstruction:
         clusters=len(np.unique(neurons.submap)),
         quantization_error=float(error.mean()),
     )
-
-
-def _no_neurons() -> Neurons:
-    nothing = np.empty((0, 3))
-    return Neurons(nothing, nothing, nothing, _NONE, _NONE.astype(bool), _NO_FACES, _NONE)
