@@ -184,7 +184,8 @@ class GrowingReconstruction:
             else:
                 known = len(before.cloud)
             if len(part.cloud) > known:
-                new.append(_New(number, known, part.cloud.select(np.arange(known, len(part.cloud)))))
+                added = part.cloud.select(np.arange(known, len(part.cloud))) if known else part.cloud
+                new.append(_New(number, known, added))
             taken[key] = (number, part)
         self._taken = taken
         return gone, new
@@ -228,8 +229,10 @@ def _grow(state: _State, gone: list[int], new: list[_New], config: Reconstructio
 def _take_in(
     state: _State, gone: list[int], new: list[_New], config: ReconstructionConfig
 ) -> tuple[NDArray[np.int32], Mask]:
-    """Take points from the state and put others in; the name (N,) of the submap that each was of, -1 for none, and a
-    mask (N,) of those that are to get a new one."""
+    """Take points away and in.
+
+    The name (N,) of the submap that each point was of, -1 for none, and a mask (N,) of those that are to get a new one.
+    """
     workers = config.workers or os.cpu_count() or 1
     cloud, part, row = _possible(new, config, workers)
     if state.frame is None:

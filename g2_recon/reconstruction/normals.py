@@ -77,39 +77,43 @@ def fit_local_planes(
     neighbors: int,
     workers: int,
     planes: LocalPlanes,
+    places: NDArray[np.int64] | None = None,
 ) -> None:
     """Fit a plane to the nearest `neighbors` in the tree within `radius` (m) of each of the points `rows` (M,).
 
-    points, sensor: (N, 3) m. The planes (N) are filled in at the rows; where the tree does not hold all points, only at
-    those whose neighbors span one, and not `found`. Rows that are near each other should follow each other.
+    points, sensor: (N, 3) m. The planes are filled in at `places` (M,), by default the rows; where the tree does not
+    hold all points, only at those whose neighbors span one, and not `found`. Rows that are near each other should
+    follow each other.
     """
     seen_from = np.empty((0, 3)) if sensor is None else sensor
+    into = rows if places is None else places
 
     def fit(begin: int, end: int) -> None:
-        _fit_local_planes(points, seen_from, rows[begin:end], tree, neighbors, radius, planes)
+        _fit_local_planes(points, seen_from, rows[begin:end], tree, neighbors, radius, planes, into[begin:end])
 
     in_chunks(fit, len(rows), workers)
 
 
 @numba.njit(cache=True, nogil=True)
-def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  # type: ignore[no-untyped-def]
+def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes, places):  # type: ignore[no-untyped-def]
     middles, normals, deviation, spans, neighbors_found, around = planes
     everywhere = len(tree.number) == len(points)
     block, found = np.empty((BLOCK, 3)), np.empty(BLOCK, np.int64)
-    squared, places = np.empty((BLOCK, neighbors)), np.empty((BLOCK, neighbors), np.int64)
+    squared, nearest = np.empty((BLOCK, neighbors)), np.empty((BLOCK, neighbors), np.int64)
     away, matrix, axes = np.empty((neighbors, 3)), np.empty((3, 3)), np.empty((3, 3))
     square, spread = np.empty(3), np.empty(3)
     begin = 0
     while begin < len(rows):
         size = _block_at(points, rows, begin, radius, block)
-        nearest_to_block(tree, block[:size], radius * radius, squared, places, found)
+        nearest_to_block(tree, block[:size], radius * radius, squared, nearest, found)
         for b in range(size):
-            row, number, x, y, z = rows[begin + b], found[b], block[b, 0], block[b, 1], block[b, 2]
+            row, place, number = rows[begin + b], places[begin + b], found[b]
+            x, y, z = block[b, 0], block[b, 1], block[b, 2]
             for attempt in range(2):
                 # Sums are relative to the point itself so that large coordinates cost no precision.
                 sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
                 for n in range(number):
-                    leaf, i = places[b, n] // BLOCK, places[b, n] % BLOCK
+                    leaf, i = nearest[b, n] // BLOCK, nearest[b, n] % BLOCK
                     dx, dy, dz = tree.leaves[leaf, 0, i] - x, tree.leaves[leaf, 1, i] - y, tree.leaves[leaf, 2, i] - z
                     away[n, 0], away[n, 1], away[n, 2] = dx, dy, dz
                     sx, sy, sz = sx + dx, sy + dy, sz + dz
@@ -138,21 +142,21 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  #
                     is_plane &= not edge_on
                 if attempt:
                     break
-                kept = _on_one_side(points, sensor, tree.number, places[b], number, axes)
+                kept = _on_one_side(points, sensor, tree.number, nearest[b], number, axes)
                 if kept == number or kept < _FEWEST:
                     break
                 number = kept
             if everywhere:
-                neighbors_found[row] = found[b]
+                neighbors_found[place] = found[b]
             elif not is_plane:
                 continue
             if edge_on and _face_sensor(axes, rx, ry, rz):
                 spread[0] = spread[1]
-            spans[row], deviation[row] = is_plane, spread[0]
-            middles[row, 0], middles[row, 1], middles[row, 2] = x + sx * share, y + sy * share, z + sz * share
+            spans[place], deviation[place] = is_plane, spread[0]
+            middles[place, 0], middles[place, 1], middles[place, 2] = x + sx * share, y + sy * share, z + sz * share
             for a in range(3):
-                normals[row, a] = axes[a, 0]
-            around[row] = -1
+                normals[place, a] = axes[a, 0]
+            around[place] = -1
             for n in range(number):
                 dx, dy, dz = away[n, 0], away[n, 1], away[n, 2]
                 if dx == 0.0 and dy == 0.0 and dz == 0.0:
@@ -160,8 +164,8 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes):  #
                 u = dx * axes[0, 2] + dy * axes[1, 2] + dz * axes[2, 2]
                 v = dx * axes[0, 1] + dy * axes[1, 1] + dz * axes[2, 1]
                 sector = (4 if v < 0 else 0) + (2 if u < 0 else 0) + (1 if abs(v) > abs(u) else 0)
-                if around[row, sector] < 0:
-                    around[row, sector] = tree.number[places[b, n]]
+                if around[place, sector] < 0:
+                    around[place, sector] = tree.number[nearest[b, n]]
         begin += size
 
 

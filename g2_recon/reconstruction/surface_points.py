@@ -109,29 +109,30 @@ def prepare(
     if cloud.sensor is not None:
         sensor = taken(cloud.sensor, kept, workers)
         sensor -= origin
-    tree = point_tree(points, workers=workers)
-    local = _local_planes(points, sensor, cells, tree, radius, neighbors, workers)
-    noise = float(np.median(local.deviation[local.spans])) if local.spans.any() else 0.0
-    _refit_narrow(points, sensor, tree, local, noise, radius, workers)
-    isolated = local.found - 1 < _FEWEST_NEIGHBORS
-    off = ~isolated & (
-        _median_distances(points, local.normals, local.around, workers) > max(_OFF_PLANE_NOISE * noise, off_plane)
-    )
+    planes, noise = _local_planes(points, sensor, cells, radius, neighbors, workers)
+    # Of a large cloud each of these takes much memory: it goes when there is the one of the good points.
+    middles, normals, deviation, spans, found, around = planes
+    del planes
+    isolated = found - 1 < _FEWEST_NEIGHBORS
+    off = ~isolated & (_median_distances(points, normals, around, workers) > max(_OFF_PLANE_NOISE * noise, off_plane))
     good = np.flatnonzero(~isolated & ~off)
-    good_points = taken(points, good, workers)
-    if distinct_points(good_points) < FEWEST_POINTS:
+    around = _links_among(around, good, workers)
+    points = taken(points, good, workers)
+    if distinct_points(points) < FEWEST_POINTS:
         raise InputError(
             f"only {len(good)} of {len(cloud)} points have neighbors on one surface within {radius:g} m",
             advice="choose a larger spacing; is the cloud in metres?",
         )
-    links = _links_among(local.around, good, workers)
-    points, cells, kept, local = good_points, cells[good], kept[good], local.select(good, workers)
-    normals = local.normals if sensor is not None else orient_consistently(points, local.normals, links)
-    plane = sharper_planes(points, local.middles, normals, local.deviation, links, workers)
+    cells, kept = cells[good], kept[good]
+    middles = taken(middles, good, workers)
+    normals = taken(normals, good, workers)
+    deviation, spans = deviation[good], spans[good]
+    if sensor is None:
+        normals = orient_consistently(points, normals, around)
+    plane = sharper_planes(points, middles, normals, deviation, around, workers)
     normals = taken(normals, plane, workers)
     if sensor is not None:
         normals = orient_to_sensor(points, normals, taken(sensor, good, workers), workers)
-    deviation = local.deviation[plane][local.spans[plane]]
     rejected = {
         "isolated": int(np.count_nonzero(isolated)),
         "off the surface of their neighbors": int(np.count_nonzero(off)),
@@ -140,8 +141,8 @@ def prepare(
         points=points + origin,
         normals=normals,
         weights=_one_by_count(cells),
-        noise=float(np.median(deviation)) if len(deviation) else noise,
-        neighbors=links,
+        noise=_noise_of(deviation[plane], spans[plane], noise),
+        neighbors=around,
         cells=cells,
         voxel=voxel,
         kept=kept,
@@ -188,9 +189,13 @@ def _morton_codes(points, voxel):  # type: ignore[no-untyped-def]
 
 
 def _local_planes(
-    points: Float, sensor: Float | None, cells: Codes, tree: PointTree, radius: float, neighbors: int, workers: int
-) -> LocalPlanes:
-    """Fit a plane to the neighbors of each point, wider and coarser where the nearest ones do not span one."""
+    points: Float, sensor: Float | None, cells: Codes, radius: float, neighbors: int, workers: int
+) -> tuple[LocalPlanes, float]:
+    """Fit a plane to the neighbors of each point, wider and coarser where the nearest ones do not span one.
+
+    Also the noise in m, before narrower planes were taken.
+    """
+    tree = point_tree(points, workers=workers)
     local = LocalPlanes.blank(len(points))
     fit = partial(fit_local_planes, points, sensor, neighbors=neighbors, workers=workers, planes=local)
     fit(tree.number, tree, radius=radius)
@@ -199,7 +204,14 @@ def _local_planes(
         if len(rows):
             coarse = point_tree(points, first_of_runs(cells >> np.uint64(3 * widening)), workers=workers)
             fit(rows, coarse, radius=radius * 2 ** (widening + 1))
-    return local
+    noise = _noise_of(local.deviation, local.spans, 0.0)
+    _refit_narrow(points, sensor, tree, local, noise, radius, workers)
+    return local, noise
+
+
+def _noise_of(deviation: Float, spans: Mask, unknown: float) -> float:
+    """Median deviation of the planes (N,) that their neighbors span; `unknown` where there is none."""
+    return float(np.median(deviation[spans])) if spans.any() else unknown
 
 
 def _refit_narrow(
@@ -212,13 +224,21 @@ def _refit_narrow(
     rows = np.flatnonzero(local.spans & (local.deviation > _ROUGH * noise))
     if not len(rows) or noise > _NOISY * radius:
         return
-    narrow = LocalPlanes.blank(len(points))
+    narrow = LocalPlanes.blank(len(rows))
     fit_local_planes(
-        points, sensor, rows, tree, radius=radius, neighbors=_NARROW_NEIGHBORS, workers=workers, planes=narrow
+        points,
+        sensor,
+        rows,
+        tree,
+        radius=radius,
+        neighbors=_NARROW_NEIGHBORS,
+        workers=workers,
+        planes=narrow,
+        places=np.arange(len(rows)),
     )
-    rows = rows[narrow.spans[rows] & (narrow.deviation[rows] < _FLATTER * local.deviation[rows])]
+    better = narrow.spans & (narrow.deviation < _FLATTER * local.deviation[rows])
     for name in ("middles", "normals", "deviation"):
-        getattr(local, name)[rows] = getattr(narrow, name)[rows]
+        getattr(local, name)[rows[better]] = getattr(narrow, name)[better]
 
 
 def _median_distances(points: Float, normals: Float, around: NDArray[np.int32], workers: int) -> Float:
