@@ -14,6 +14,7 @@ ones; with --every-scan, the same drive is replayed with all of them.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import subprocess
 import sys
@@ -54,6 +55,8 @@ class Watch:
         self.executor.add_node(self.node)
         self.came: dict[str, dict[int, float]] = {name: {} for name in ("scan", "scan_vertical", "pose", "cloud")}
         self.status: dict[str, dict[str, str]] = {}
+        # Of vertical scans: how long the last beam is measured after the first.
+        self.lasted: dict[int, int] = {}
         for topic, kind, qos in (
             ("scan", LaserScan, sensor_qos(10_000)),
             ("scan_vertical", LaserScan, sensor_qos(10_000)),
@@ -76,8 +79,10 @@ class Watch:
             now = time.monotonic()
             if topic == "cloud" and (piece := conversions.piece_from_message(message)) and piece.revision:
                 return
-            stamp = message.header.stamp
-            self.came[topic].setdefault(stamp.sec * 10**9 + stamp.nanosec, now)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            self.came[topic].setdefault(stamp, now)
+            if topic == "scan_vertical":
+                self.lasted[stamp] = math.ceil(1e9 * message.time_increment * (len(message.ranges) - 1))
 
         return take
 
@@ -103,9 +108,9 @@ def processor_s(pids: list[int]) -> float:
     return sum(int(each[11]) + int(each[12]) for each in ticks) / os.sysconf("SC_CLK_TCK")
 
 
-def memory_mb(pids: list[int]) -> float:
-    """What these processes take, a page that they share once."""
-    lines = [line for pid in pids for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()]
+def memory_mb(pid: int) -> float:
+    """What a process takes, of a page that several share its part."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
 
 
@@ -130,7 +135,7 @@ def measure(bag: Path, rate: float) -> dict[str, Any]:
         while before != (now := {topic: len(came) for topic, came in watch.came.items()}):
             before, end = now, time.monotonic() + _STILL_S
             watch.spin_until(lambda end=end: time.monotonic() > end)
-        return _row(watch, rate, ready, used / took, memory_mb(pids))
+        return _row(watch, rate, ready, used / took, [memory_mb(pid) for pid in pids])
     finally:
         for process in processes.values():
             process.kill()
@@ -139,15 +144,16 @@ def measure(bag: Path, rate: float) -> dict[str, Any]:
         watch.node.destroy_node()
 
 
-def _row(watch: Watch, rate: float, ready: list[float], cores: float, memory: float) -> dict[str, Any]:
+def _row(watch: Watch, rate: float, ready: list[float], cores: float, memory: list[float]) -> dict[str, Any]:
     came = watch.came
     to_pose = np.array([came["pose"][stamp] - at for stamp, at in came["scan"].items() if stamp in came["pose"]])
     stamps = np.array(sorted(came["pose"]))
     to_cloud = []
     for stamp, at in came["cloud"].items():
-        # All beams of an LMS200 are measured within 13 ms.
-        row = int(np.searchsorted(stamps, stamp + 13_000_000))
-        if row < len(stamps) and stamp in came["scan_vertical"]:
+        if stamp not in watch.lasted:
+            continue
+        row = int(np.searchsorted(stamps, stamp + watch.lasted[stamp]))
+        if row < len(stamps):
             to_cloud.append(at - max(came["pose"][int(stamps[row])], came["scan_vertical"][stamp]))
     return {
         "speed": f"{rate:g}",
@@ -162,7 +168,8 @@ def _row(watch: Watch, rate: float, ready: list[float], cores: float, memory: fl
         "cloud, 99 %": f"{1e3 * np.quantile(to_cloud, 0.99):.1f}",
         "dropped": sum(int(n) for s in watch.status.values() for key, n in s.items() if key.startswith("dropped")),
         "cores": f"{cores:.2f}",
-        "MB": f"{memory:.0f}",
+        "MB": f"{sum(memory):.0f}",
+        "of each": " ".join(f"{each:.0f}" for each in memory),
     }
 
 
