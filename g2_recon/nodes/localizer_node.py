@@ -149,10 +149,12 @@ class LocalizerNode(StageNode[LocalizerParameters]):
         self.offer_pause()
         self.create_timer(1.0, self._publish_maps, clock=self.steady_clock)
         # They run while there is something to do: each time one fires, all entities are waited for anew.
-        self._waiting_timer = self.create_timer(_GRACE_S, self._process_waiting, clock=self.steady_clock)
-        self._refinement_timer = self.create_timer(_GRACE_S, self._tend_refinement, clock=self.steady_clock)
-        self._waiting_timer.cancel()
-        self._refinement_timer.cancel()
+        self._waiting_timer = self.create_timer(
+            _GRACE_S, self._process_waiting, clock=self.steady_clock, autostart=False
+        )
+        self._refinement_timer = self.create_timer(
+            _GRACE_S, self._tend_refinement, clock=self.steady_clock, autostart=False
+        )
         self.listen(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, reliable_qos(1))
         if self.settings.use_odometry:
             self.listen(Odometry, "odom", self._on_odometry, sensor_qos(depth))

@@ -65,8 +65,7 @@ class PiecePublisher:
         self.former_sources: list[int] = []
         self._begin_source()
         self._publisher = node.create_publisher(PointCloud2, "cloud", reliable_qos(depth))
-        self._timer = node.create_timer(_RENEW_PERIOD_S, self._renew, clock=node.steady_clock)
-        self._timer.cancel()
+        self._timer = node.create_timer(_RENEW_PERIOD_S, self._renew, clock=node.steady_clock, autostart=False)
         node.create_timer(_WATCH_PERIOD_S, self._watch_subscribers, clock=node.steady_clock)
         node.listen(UInt32MultiArray, "cloud_wanted", self._on_wanted, reliable_qos(depth))
 
