@@ -165,22 +165,22 @@ class RegistrationConfig(_Model):
     )
     scan_distance: float = _setting(
         0.05,
-        "live: a scan is needed where the robot has moved this far since the last one that was ...",
+        "live: a scan is handed out where the robot has moved this far since the last ones that were ...",
         "m",
         ge=0,
         le=10,
     )
     scan_angle: float = _setting(
         round(math.radians(1.0), 4),
-        "... or has turned this far; others are counted, not handed out; either 0: all are needed",
+        "... or has turned this far; others are counted; either 0: wherever it is",
         "rad",
         ge=0,
         le=math.pi,
     )
     new_points: float = _setting(
         0.1,
-        "live: a scan is not needed, and counted, of which a smaller share lies where pieces before the latest 30 have "
-        "no point within a cube of 0.2 m, seen from the same side; 0: all are needed",
+        "live: of these, those are counted only of which a smaller share lies where pieces before the latest 30 have "
+        "no point within a cube of 0.2 m, seen from the same side; 0: none",
         ge=0,
         le=1,
     )

@@ -93,7 +93,8 @@ class RegistrarNode(StageNode[RegistrarParameters]):
             values["scans that wait for a pose"] = self._registrar.waiting
             values["scans kept to be placed anew"] = self._registrar.kept
             values["scans too old to be placed anew"] = self._registrar.released
-            values["scans of what was known that were not needed"] = self._registrar.redundant
+            values["scans not needed, as the robot had not moved on"] = self._registrar.too_near
+            values["scans not needed, as what they saw was known"] = self._registrar.nothing_new
             values["pieces placed anew"] = self._cloud.renewed
             values["pieces to be placed anew"] = self._registrar.to_renew
             values |= self._registrar_drops()

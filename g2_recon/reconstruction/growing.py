@@ -94,8 +94,8 @@ class _State:
 
     clouds: in the map frame, by number of the part. frame: that of the points, None before the first. neurons: of all
     submaps, in which `submap` is the name of one; without cells and owners. faces: (F, 3) joined, before creases.
-    loose: (V,) neurons that are new or have lost a face since. noise: m, of the largest surface so far, of
-    `noise_points` points. names: how many were given.
+    loose: (V,) neurons that are new or have lost a face since. sided: whether the normals of the submaps are towards
+    sensors. noise: m, of the largest surface so far, of `noise_points` points. names: how many were given.
     """
 
     clouds: dict[int, Cloud]
@@ -104,6 +104,7 @@ class _State:
     neurons: Neurons
     faces: Int
     loose: Mask
+    sided: bool = True
     noise: float = 0.0
     noise_points: int = 0
     names: int = 0
@@ -132,8 +133,8 @@ class _State:
 
     @property
     def seen_from(self) -> bool:
-        """Whether of all clouds it is known where their points were seen from."""
-        return all(cloud.sensor is not None for cloud in self.clouds.values())
+        """Whether of all points it is known where they were seen from."""
+        return all(cloud.sensor is not None for cloud in self.clouds.values() if len(cloud))
 
 
 class GrowingReconstruction:
@@ -214,12 +215,13 @@ def _goes_on(before: Part, part: Part) -> bool:
 
 def _grow(state: _State, gone: list[int], new: list[_New], config: ReconstructionConfig, progress: Progress) -> Mesh:
     """The mesh after parts went and others came; the state becomes that of then."""
-    names, anew = _take_in(state, gone, new, config)
+    names, anew, stale = _take_in(state, gone, new, config)
     # Without sensors only the whole tells which side of a surface is the free one.
-    if not state.seen_from or np.count_nonzero(anew) >= _MOST_ANEW * len(anew):
+    sided = state.seen_from and state.sided
+    if not sided or np.count_nonzero(anew) >= _MOST_ANEW * len(anew):
         _submaps_of_all(state, names, config, progress)
     else:
-        _leave_out(state, np.unique(names[anew & (names >= 0)]))
+        _leave_out(state, stale)
         if gone:
             _leave_what_has_data(state, config)
         _submaps_of_some(state, anew, names, config, progress)
@@ -228,17 +230,18 @@ def _grow(state: _State, gone: list[int], new: list[_New], config: Reconstructio
 
 def _take_in(
     state: _State, gone: list[int], new: list[_New], config: ReconstructionConfig
-) -> tuple[NDArray[np.int32], Mask]:
+) -> tuple[NDArray[np.int32], Mask, NDArray[np.int32]]:
     """Take points away and in.
 
-    The name (N,) of the submap that each point was of, -1 for none, and a mask (N,) of those that are to get a new one.
+    The name (N,) of the submap that each point was of, -1 for none; a mask (N,) of those that are to get a new one; and
+    the names of the submaps that are no more, also of those of which no point is left.
     """
     workers = config.workers or os.cpu_count() or 1
     cloud, part, row = _possible(new, config, workers)
     if state.frame is None:
         # Nothing is known of them: they get their own frame, and what goes with it, all together.
         state.points = _blank(part, row, cloud.points)
-        return np.full(len(cloud), -1, np.int32), np.ones(len(cloud), bool)
+        return np.full(len(cloud), -1, np.int32), np.ones(len(cloud), bool), np.empty(0, np.int32)
     added = _blank(part, row, state.frame.of(cloud, workers=workers).points)
     names, own = _names(state), state.points.own
     keep = ~np.isin(state.points.part, gone)
@@ -249,8 +252,8 @@ def _take_in(
     if not keep.all():
         state.points = state.points.take(np.flatnonzero(keep))
     state.points = _together(state.points, added)
-    nameless = np.full(len(added), -1, np.int32)
-    return np.concatenate([names[keep], nameless]), np.concatenate([anew[keep], np.ones(len(added), bool)])
+    nameless, all_of_them = np.full(len(added), -1, np.int32), np.ones(len(added), bool)
+    return np.concatenate([names[keep], nameless]), np.concatenate([anew[keep], all_of_them]), stale
 
 
 def _possible(
@@ -259,13 +262,14 @@ def _possible(
     """One cloud of what may be surface of that which is new, the number (N,) of the part of each point and its row."""
     cloud = concatenate([each.cloud for each in new])
     part = np.repeat(np.array([each.part for each in new], np.int32), [len(each.cloud) for each in new])
-    row = np.concatenate([np.empty(0, np.int32), *(each.known + np.arange(len(each.cloud)) for each in new)])
-    row = row.astype(np.int32)
+    row = np.concatenate([_NONE, *(each.known + np.arange(len(each.cloud)) for each in new)]).astype(np.int32)
     finite = np.asarray(np.isfinite(cloud.points).all(axis=1))
     if cloud.sensor is not None:
         finite &= np.isfinite(cloud.sensor).all(axis=1)
-    possible = finite & ~near_sensor(cloud, config.min_sensor_distance, workers)
-    return (cloud, part, row) if possible.all() else (cloud.select(possible), part[possible], row[possible])
+    if not finite.all():
+        cloud, part, row = cloud.select(finite), part[finite], row[finite]
+    near = near_sensor(cloud, config.min_sensor_distance, workers)
+    return (cloud.select(~near), part[~near], row[~near]) if near.any() else (cloud, part, row)
 
 
 def _submaps_of_all(state: _State, names: NDArray[np.int32], config: ReconstructionConfig, progress: Progress) -> None:
@@ -273,7 +277,7 @@ def _submaps_of_all(state: _State, names: NDArray[np.int32], config: Reconstruct
     surface, order = _surface_of_all(state, config, progress)
     rows = np.arange(len(surface))
     state.neurons, state.faces, state.loose = _State.of_nothing().neurons, _NO_FACES, _NONE.astype(bool)
-    state.noise, state.noise_points = 0.0, 0
+    state.sided, state.noise, state.noise_points = state.seen_from, 0.0, 0
     state.points = _with_surface(state.points, rows, surface.neighbors)
     _add_submaps(state, rows, surface, names[order[: len(surface)]], config, progress)
 
@@ -398,7 +402,7 @@ def _leave_what_has_data(state: _State, config: ReconstructionConfig) -> None:
     state.faces = state.faces[stays]
 
 
-def _leave_out(state: _State, stale: Int) -> None:
+def _leave_out(state: _State, stale: NDArray[np.int32]) -> None:
     """Take the submaps of these names away, and the faces that touch them."""
     known = state.neurons
     keep = ~np.isin(known.submap, stale)

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +36,17 @@ _STAMPS_KEPT = 10_000
 # What a scan sees is known where pieces before the latest ones have points in the cube with this edge, m, seen from the
 # same side. The latest ones do not count: a robot that turns in a room on its first visit sees much of it twice.
 _KNOWN_CUBE_M, _LATEST_PIECES = 0.2, 30
+# So many of the last scans that were needed tell whether the robot has moved on. A scan with more beams than so many
+# times theirs is needed all the same: somebody may have stood in front of the laser.
+_LAST_NEEDED, _FULLER = 8, 1.5
+
+
+class _View(NamedTuple):
+    """Where the robot was at a scan, position (3,) in m and quaternion (4,), and how many of its beams made points."""
+
+    position: Float
+    quaternion: Float
+    beams: int
 
 
 @dataclass(slots=True)
@@ -60,9 +72,9 @@ class Registrar:
 
     With `keep_scans` the cloud follows the localizer: `follow` tells where its keyframes are now, and `renew` hands out
     anew, piece by piece, what has moved. A piece is the scans between two calls of `follow`, or fewer. It takes memory
-    for each scan, up to `kept_scans`, and for the poses around it. A scan is needed where the robot has moved by
-    `scan_distance` or turned by `scan_angle` since the last one that was, and where a share of `new_points` of what it
-    sees lies where there was nothing; others are not handed out, and counted as `redundant`.
+    for each scan, up to `kept_scans`, and for the poses around it. A scan is handed out where the robot has moved by
+    `scan_distance` or turned by `scan_angle` since the last ones that were, and where a share of `new_points` of what
+    it sees lies where there was nothing. Others are counted: those that are `too_near`, those with `nothing_new`.
     """
 
     def __init__(self, config: RegistrationConfig, T_base_laser: ArrayLike, *, keep_scans: bool = False) -> None:
@@ -93,9 +105,9 @@ class Registrar:
         self._known = VoxelCounts()
         self._unsettled: list[int] = []
         self.released = 0
-        # Where the robot was at the last scan that was needed, as position and quaternion.
-        self._last_needed: tuple[Float, Float] | None = None
-        self.redundant = 0
+        # Of the last scans that were needed, as scans may overtake each other.
+        self._needed: deque[_View] = deque(maxlen=_LAST_NEEDED)
+        self.too_near = self.nothing_new = 0
 
     def configure(self, config: RegistrationConfig) -> None:
         """Take other settings for the scans that are not placed yet."""
@@ -247,26 +259,25 @@ class Registrar:
             return
         number = self._open
         if self._keep_scans:
-            pose = pose_at(scan.stamp, *poses)
-            if not (self._has_moved_on(*pose) and self._sees_enough_new(cubes := _cubes(placed))):
-                self.redundant += 1
+            position, quaternion = pose_at(scan.stamp, *poses)
+            view = _View(position, quaternion, len(placed))
+            if any(self._shows_it_all(needed, view) for needed in self._needed):
+                self.too_near += 1
                 return
-            self._last_needed = pose
+            cubes = _cubes(placed)
+            if np.count_nonzero(self._known.of(cubes) == 0) < self._config.new_points * len(cubes):
+                self.nothing_new += 1
+                return
+            self._needed.appendleft(view)
             number = self._keep(scan, first, last, cubes)
         self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), number))
 
-    def _has_moved_on(self, position: Float, quaternion: Float) -> bool:
-        """Whether the robot is far enough from where it was at the last needed scan."""
-        if self._last_needed is None:
-            return True
-        there, turned = self._last_needed
-        angle = 2.0 * math.acos(min(abs(float(turned @ quaternion)), 1.0))
-        return math.dist(there, position) >= self._config.scan_distance or angle >= self._config.scan_angle
-
-    def _sees_enough_new(self, cubes: NDArray[np.int64]) -> bool:
-        """Whether enough of the cubes (N,), one a point, are not known."""
-        new = np.count_nonzero(self._known.of(cubes) == 0)
-        return bool(new >= self._config.new_points * len(cubes))
+    def _shows_it_all(self, needed: _View, view: _View) -> bool:
+        """Whether there is nothing in one view that was not in another, as the robot has not moved on."""
+        if math.dist(needed.position, view.position) >= self._config.scan_distance:
+            return False
+        angle = 2.0 * math.acos(min(abs(float(needed.quaternion @ view.quaternion)), 1.0))
+        return angle < self._config.scan_angle and view.beams <= _FULLER * needed.beams
 
     def _place(self, scan: Scan, poses: Poses) -> Cloud | str:
         """The points of a scan, or why it cannot be placed."""

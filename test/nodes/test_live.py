@@ -117,8 +117,8 @@ def test_no_scan_is_lost(live):
     status = live.status
     assert int(status["/localizer_node"]["localized scans"]) == recorded["scan"]
     registered = int(status["/registrar_node"]["registered scans"])
-    # In a room that it has just left the robot sees hardly anything new.
-    not_needed = int(status["/registrar_node"]["scans of what was known that were not needed"])
+    # In a room that it has just left the robot sees hardly anything new; elsewhere its scans are 17 cm apart.
+    not_needed = sum(int(value) for key, value in status["/registrar_node"].items() if "not needed" in key)
     assert registered + not_needed == recorded["scan_vertical"]
     assert not_needed < 0.05 * recorded["scan_vertical"]
     # Each as it comes, and those that the localizer moved once more.

@@ -70,24 +70,26 @@ def assert_sound(mesh):
 
 
 def test_what_comes_at_once_is_reconstructed_as_offline():
-    whole = Cloud(*(np.concatenate([getattr(piece, name) for piece in PIECES]) for name in ("points", "sensor")))
-    live, offline = GrowingReconstruction(CONFIG).update(parts(PIECES)), reconstruct(whole, CONFIG)
+    live, offline = GrowingReconstruction(CONFIG).update(parts(PIECES)), reconstruct(whole_corridor(), CONFIG)
     for name in ("vertices", "faces", "submap"):
         np.testing.assert_array_equal(getattr(live.mesh, name), getattr(offline.mesh, name))
     assert live.quantization_error == offline.quantization_error
 
 
+def whole_corridor():
+    return Cloud(*(np.concatenate([getattr(piece, name) for piece in PIECES]) for name in ("points", "sensor")))
+
+
+def f5_of(result):
+    truth = TrueSurface(BOX, np.concatenate([SIDES[:, :3], SIDES[:, [0, 2, 3]]]), whole_corridor().points)
+    return score_surface(truth, result.mesh.vertices, result.mesh.faces, thresholds=[0.05]).at[0].f_score
+
+
 def test_what_came_piece_by_piece_scores_within_half_a_point_of_f5_of_the_offline_mesh(after_all):
     """0.5 points: the issue."""
-    whole = Cloud(*(np.concatenate([getattr(piece, name) for piece in PIECES]) for name in ("points", "sensor")))
-    faces = np.concatenate([SIDES[:, :3], SIDES[:, [0, 2, 3]]])
-    truth = TrueSurface(BOX, faces, whole.points)
-    live, offline = (
-        score_surface(truth, result.mesh.vertices, result.mesh.faces, thresholds=[0.05]).at[0].f_score
-        for result in (after_all, reconstruct(whole, CONFIG))
-    )
+    offline = f5_of(reconstruct(whole_corridor(), CONFIG))
     assert offline > 0.97
-    assert live == pytest.approx(offline, abs=0.005)
+    assert f5_of(after_all) == pytest.approx(offline, abs=0.005)
 
 
 def test_the_mesh_that_grew_is_manifold_oriented_and_without_crossings(after_all):
@@ -133,6 +135,43 @@ def test_a_piece_that_is_gone_is_gone_from_the_mesh():
     growing = GrowingReconstruction(CONFIG)
     growing.update(parts(PIECES))
     assert growing.update(parts(PIECES[:7])).mesh.vertices[:, 0].max() < 14.3
+
+
+def test_of_a_piece_that_is_gone_no_submap_is_left():
+    growing = GrowingReconstruction(CONFIG)
+    before = growing.update(parts(PIECES[:4]))
+    growing.update(parts([*PIECES[:4], corridor(20, 22)]))
+    after = growing.update(parts(PIECES[:4]))
+    assert after.clusters == before.clusters
+    for name in ("vertices", "faces", "submap"):
+        np.testing.assert_array_equal(getattr(after.mesh, name), getattr(before.mesh, name))
+
+
+def test_pieces_that_are_moved_again_and_again_leave_nothing(after_all):
+    growing = GrowingReconstruction(CONFIG)
+    growing.update(parts(PIECES))
+    rng = np.random.default_rng(0)
+    for version in range(1, 9):
+        off = rng.uniform(-0.15, 0.15, 3) if version < 8 else np.zeros(3)
+        moved = [Cloud(piece.points + off, piece.sensor + off) for piece in PIECES[5:]]
+        result = growing.update(parts([*PIECES[:5], *moved], [0] * 5 + [version] * 3))
+    assert result.clusters < 1.5 * after_all.clusters
+    assert len(result.mesh.faces) == pytest.approx(len(after_all.mesh.faces), rel=0.05)
+    assert f5_of(result) == pytest.approx(f5_of(after_all), abs=0.005)
+
+
+def test_when_a_cloud_without_sensors_is_gone_all_sides_are_told_by_the_sensors_again():
+    growing = GrowingReconstruction(CONFIG)
+    pieces = PIECES[:4]
+    before = growing.update(parts(pieces))
+    growing.update(parts([*pieces, Cloud(corridor(20, 22).points)]))
+    after = growing.update(parts(pieces))
+    middle = np.array([4.0, WIDTH / 2, HEIGHT / 2])
+    for mesh in (before.mesh, after.mesh):
+        corners = mesh.vertices[mesh.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        inward = np.einsum("ni,ni->n", normals, (middle - corners.mean(axis=1)) * (0, 1, 1)) > 0
+        assert inward.mean() > 0.99
 
 
 def test_points_that_are_added_to_a_piece_come_to_those_before():

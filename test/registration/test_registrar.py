@@ -303,17 +303,43 @@ def test_scans_are_needed_where_the_robot_has_moved_on_or_turned():
     assert 87 <= taken[-1] <= 90
     assert set(np.diff(taken[1:])) <= {2, 3}
     assert stage.kept == len(taken)
-    assert stage.redundant == len(way) - len(taken)
+    assert stage.too_near == len(way) - len(taken)
     assert stage.drops == {}
 
 
 @pytest.mark.parametrize("setting", ["scan_distance", "scan_angle"])
-def test_all_scans_are_needed_where_that_is_asked_for(setting):
-    stage = Registrar(RegistrationConfig(**{setting: 0}), UP, keep_scans=True)
-    for step in range(20):
+def test_all_scans_are_handed_out_where_that_is_asked_for(setting):
+    stage = Registrar(RegistrationConfig(**{setting: 0, "new_points": 0}), UP, keep_scans=True)
+    for step in range(1000):
         stage.add_pose(0.1 * step, moving(0))
         stage.add_scan(scan(0.1 * step))
-    assert stage.kept == 20
+    assert stage.kept == 1000
+
+
+def test_scans_that_overtake_each_other_are_as_near_as_others():
+    kept = []
+    for late in (0, 30):
+        stage = Registrar(RegistrationConfig(), UP, keep_scans=True)
+        # 0.3 m/s, 75 scans a second, of which each second one comes 0.4 s late.
+        for step in range(780):
+            stage.add_pose(step / 75, moving(0.3 * step / 75))
+            for comes in (step, step - late) if late else (step,):
+                if 0 <= comes < 750 and (late == 0 or (comes == step) == (comes % 2 == 0)):
+                    stage.add_scan(scan(comes / 75))
+        kept.append(stage.kept)
+        assert stage.kept + stage.too_near == 750
+    assert kept[0] == pytest.approx(60, abs=2)
+    assert kept[1] <= 2 * kept[0]
+
+
+def test_a_scan_with_more_beams_is_needed_though_the_robot_has_not_moved_on():
+    stage = Registrar(RegistrationConfig(), UP, keep_scans=True)
+    for step, beams in enumerate([1, 3, 3, 4, 181, 181, 150, 1]):
+        ranges = np.full(181, np.nan)
+        ranges[:beams] = 1.0
+        stage.add_pose(0.1 * step, moving(0))
+        stage.add_scan(scan(0.1 * step, ranges))
+    assert [len(registered.cloud) for registered in stage.take()] == [1, 3, 181]
 
 
 def test_a_voxel_keeps_its_first_point():
@@ -389,7 +415,8 @@ def test_what_was_seen_again_and_again_is_not_needed_any_more():
     known = stage.kept
     drive_again(stage, 20, begin=5, keyframes=told)
     assert stage.kept == len(stage.take()) == known < 250
-    assert stage.redundant == 25 * 50 - known
+    assert stage.nothing_new + stage.too_near == 25 * 50 - known
+    assert stage.nothing_new > 800
     assert stage.drops == {}
 
 
