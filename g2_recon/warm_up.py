@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compile kernels, so that no first use has to wait for it: python -m g2_recon.warm_up [PART...].
 
-Parts are tracking (of localization, in a new map), localization, registration and reconstruction (of clouds with
-sensors, mode solid); without any, all kernels there are.
+Parts are tracking (of localization, in a new map), smoothing (the half of it that another process compiles meanwhile),
+localization, registration and reconstruction (of clouds with sensors, mode solid); without any, all kernels there are.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable
 
@@ -18,7 +19,13 @@ from g2_recon.evaluation.surface import score_surface
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.geometry.scan import Scan
-from g2_recon.localization.warm_up import warm_up_localization, warm_up_mapping, warm_up_tracking
+from g2_recon.localization.warm_up import (
+    warm_up_localization,
+    warm_up_mapping,
+    warm_up_matching,
+    warm_up_smoothing,
+    warm_up_tracking,
+)
 from g2_recon.reconstruction.collected_cloud import Part
 from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.reconstructor import reconstruct
@@ -52,6 +59,14 @@ def warm_up_registration() -> None:
     prepare_map(Cloud(points, np.zeros_like(points)), SweepConfig())
 
 
+def _warm_up_tracking_in_two() -> None:
+    """In two processes, as the robot waits for it."""
+    beside = subprocess.Popen([sys.executable, "-m", "g2_recon.warm_up", "smoothing"])
+    warm_up_matching()
+    beside.wait()
+    warm_up_tracking()
+
+
 def _warm_up_reconstruction() -> None:
     growing, cloud = GrowingReconstruction(ReconstructionConfig()), _corner_of_a_room(with_sensor=True)
     for end in (len(cloud) - 10, len(cloud)):
@@ -59,7 +74,8 @@ def _warm_up_reconstruction() -> None:
 
 
 PARTS: dict[str, Callable[[], None]] = {
-    "tracking": warm_up_tracking,
+    "tracking": _warm_up_tracking_in_two,
+    "smoothing": warm_up_smoothing,
     "localization": warm_up_mapping,
     "registration": warm_up_registration,
     "reconstruction": _warm_up_reconstruction,

@@ -23,3 +23,29 @@ def test_after_a_warm_up_nothing_is_left_to_compile(tmp_path):
     subprocess.run([sys.executable, "-c", other_data], env=environment, check=True)
     assert compiled
     assert {file.name for file in tmp_path.rglob("*.nbc")} == compiled
+
+
+def test_what_another_process_compiles_meanwhile_is_what_tracking_needs():
+    code = """
+from g2_recon.localization import pairing, pose_graph, smoothing, tracking_kernels, uncertainty
+from g2_recon.localization.warm_up import warm_up_matching, warm_up_smoothing, warm_up_tracking
+
+def compiled():
+    modules = pairing, pose_graph, smoothing, tracking_kernels, uncertainty
+    return {
+        (name, signature)
+        for module in modules
+        for name, kernel in vars(module).items()
+        for signature in getattr(kernel, "overloads", ())
+    }
+
+warm_up_smoothing()
+warm_up_matching()
+halves = compiled()
+assert any(name == "solve_window" for name, _ in halves)
+assert any(name == "match_on_latest" for name, _ in halves)
+warm_up_tracking()
+print({name for name, _ in compiled() - halves})
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "set()\n", done

@@ -8,10 +8,15 @@ import numpy as np
 
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry.scan import Scan
+from g2_recon.localization import pose_graph
+from g2_recon.localization.beams import Beams, beams
+from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.map_localizer import MapLocalizer
 from g2_recon.localization.methods import make_localizer
 from g2_recon.localization.occupancy import GridBuilder
+from g2_recon.localization.smoothing import Smoother
+from g2_recon.localization.uncertainty import Uncertainty
 
 
 def warm_up_localization() -> None:
@@ -25,6 +30,31 @@ def warm_up_tracking() -> None:
     localizer = Localizer(LocalizationConfig(), np.eye(4))
     for stamp, x in enumerate(np.arange(-8.0, -6.0, 0.2).tolist()):
         localizer.process(_scan_in_the_hall(0.1 * stamp, x), (x, 0.0, 0.3 if stamp == 5 else 0.0))
+
+
+def warm_up_matching() -> None:
+    """Those of them that lay scans on each other."""
+    localizer, keyframes = Localizer(LocalizationConfig(), np.eye(4)), Keyframes()
+    for index, x in enumerate((-8.0, -7.95)):
+        scan = _scan_in_the_hall(0.1 * index, x)
+        localizer.process(scan, (x, 0.0, 0.0))
+        keyframes.add(beams(scan, range_min=0.1, range_max=30.0), np.array([x, 0.0, 0.0]))
+    Smoother(keyframes).refill(np.zeros((2, 3)), 0)
+
+
+def warm_up_smoothing() -> None:
+    """Those of them that improve poses by edges, and tell how sure they are."""
+    keyframes, bearings = Keyframes(), np.linspace(0.0, 1.0, 3)
+    nothing = Beams(np.zeros((3, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros(3, np.uint8), *bearings[:2])
+    uncertainty, step = Uncertainty(keyframes), np.array([0.3, 0.0, 0.0])
+    for index in range(3):
+        keyframes.add(nothing, index * step)
+        uncertainty.add(None, wheels=step, broken=False)
+    edges = pose_graph.measured(
+        np.array([1, 2]), np.array([0, 1]), np.tile(step, (2, 1)), np.tile(np.eye(3), (2, 1, 1))
+    )
+    pose_graph.solve_window(keyframes.poses, 1, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, 1)
+    uncertainty.add(pose_graph.at_poses(keyframes.poses, edges), wheels=step, broken=False)
 
 
 def warm_up_mapping() -> None:

@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from threading import Lock
 
@@ -17,6 +20,7 @@ _LATE = {
         "localization.pose_graph:solve_window",
         "localization.uncertainty:_led_on",
     ),
+    "smoothing": ("localization.pose_graph:solve_window", "localization.uncertainty:_led_on"),
     "localization": ("localization.loop_closure:register", "localization.branch_and_bound:find_places"),
     "registration": ("registration.placing:pose_at",),
     "reconstruction": (
@@ -46,7 +50,9 @@ class KernelCompiler:
                 self._process = None
                 self._parts.pop(0)
             if self._process is None and self._parts:
-                self._process = subprocess.Popen([sys.executable, "-m", "g2_recon.warm_up", self._parts[0]])
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", "g2_recon.warm_up", self._parts[0]], start_new_session=True
+                )
             return tuple(self._parts)
 
     def close(self) -> None:
@@ -54,7 +60,9 @@ class KernelCompiler:
         with self._asking:
             self._parts.clear()
             if self._process is not None:
-                self._process.kill()
+                # With what it has begun itself.
+                with suppress(ProcessLookupError):
+                    os.killpg(self._process.pid, signal.SIGKILL)
                 self._process.wait()
             self._process = None
 

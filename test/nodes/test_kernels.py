@@ -66,7 +66,7 @@ def test_parts_are_compiled_one_after_the_other(monkeypatch):
     begun = []
     popen = subprocess.Popen
 
-    def begin(command):
+    def begin(command, **_):
         begun.append(command[-1])
         return popen([sys.executable, "-c", ""])
 
