@@ -40,7 +40,7 @@ def bag(tmp_path, niche_scan) -> Path:
         )
         odom = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=types)
         for step in range(SCANS):
-            stamp, pose = 100.0 + 0.1 * step, (0.05 * step, 0.0, 0.0)
+            stamp, pose = 100.0 + 0.1 * step, (0.06 * step, 0.0, 0.0)
             moved = Odometry(header=conversions.header(conversions.stamp_message(stamp), "odom"))
             moved.pose.pose = conversions.pose_message(se3.from_se2(pose))
             for connection, message in (
