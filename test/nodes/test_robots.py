@@ -45,6 +45,7 @@ MOUNTED = """
   ros__parameters:
     laser_pose: [0.0, 0.0, 0.3, 0.0, -1.5707963, 0.0]
     new_points: 0.0
+    scan_distance: 0.0
 """
 BEAMS = 20
 # Scans are 10 cm apart along the way of a robot that drives slowly, and so far in time, s.
