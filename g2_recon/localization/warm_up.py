@@ -44,8 +44,8 @@ def warm_up_matching() -> None:
 
 def warm_up_smoothing() -> None:
     """Those of them that improve poses by edges, and tell how sure they are."""
-    keyframes, bearings = Keyframes(), np.linspace(0.0, 1.0, 3)
-    nothing = Beams(np.zeros((3, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros(3, np.uint8), *bearings[:2])
+    keyframes = Keyframes()
+    nothing = Beams(np.zeros((3, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros(3, np.uint8), 0.0, 0.5)
     uncertainty, step = Uncertainty(keyframes), np.array([0.3, 0.0, 0.0])
     for index in range(3):
         keyframes.add(nothing, index * step)

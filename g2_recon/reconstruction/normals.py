@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from g2_recon.geometry.chunks import in_chunks, taken
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_tree import BLOCK, PointTree, nearest_to_block
 
 Float = NDArray[np.float64]
@@ -61,10 +61,6 @@ class LocalPlanes(NamedTuple):
             found=np.zeros(size, np.int64),
             around=np.empty((size, SECTORS), np.int32),
         )
-
-    def select(self, which: NDArray[np.int64], workers: int = 1) -> LocalPlanes:
-        """Those of the points `which` (M,)."""
-        return LocalPlanes._make(taken(column, which, workers) for column in self)
 
 
 def fit_local_planes(
