@@ -178,7 +178,7 @@ class RegistrationConfig(_Model):
         le=math.pi,
     )
     new_points: float = _setting(
-        0.1,
+        0.3,
         "live: of these, those are counted only of which a smaller share lies where pieces before the latest 30 have "
         "no point within a cube of 0.2 m, seen from the same side; 0: none",
         ge=0,

@@ -30,12 +30,13 @@ class Keyframes:
         self._allocate(_FEWEST_ROWS, 1)
 
     def _allocate(self, rows: int, beams: int) -> None:
-        self._poses: Float = np.zeros((rows, 3))
-        self._points = np.zeros((rows, beams, 2), np.float32)
-        self._normals = np.zeros((rows, beams, 2), np.float32)
-        self._kinds = np.zeros((rows, beams), np.uint8)
-        self._firsts = np.zeros(rows)
-        self._increments = np.ones(rows)
+        # Empty, as rows that are not in use take no memory until they are written to.
+        self._poses: Float = np.empty((rows, 3))
+        self._points = np.empty((rows, beams, 2), np.float32)
+        self._normals = np.empty((rows, beams, 2), np.float32)
+        self._kinds = np.empty((rows, beams), np.uint8)
+        self._firsts = np.empty(rows)
+        self._increments = np.empty(rows)
 
     def __len__(self) -> int:
         return self._count
@@ -65,10 +66,12 @@ class Keyframes:
             self._grow(2 * rows if self._count == rows else rows, max(count, width))
         index = self._count
         self._poses[index] = pose
-        self._points[index, :count] = beams.points
-        self._normals[index, :count] = beams.normals
-        self._kinds[index, :count] = beams.kinds
-        self._kinds[index, count:] = 0
+        for row, values in (
+            (self._points[index], beams.points),
+            (self._normals[index], beams.normals),
+            (self._kinds[index], beams.kinds),
+        ):
+            row[:count], row[count:] = values, 0
         self._firsts[index], self._increments[index] = beams.first, beams.increment
         self._count += 1
         return index
@@ -96,7 +99,10 @@ class Keyframes:
         points, normals, kinds, firsts, increments = arrays
         count, width = kinds.shape
         self._poses[:count] = poses
-        self._points[:count, :width] = points
-        self._normals[:count, :width] = normals
-        self._kinds[:count, :width] = kinds
+        for rows, values in (
+            (self._points[:count], points),
+            (self._normals[:count], normals),
+            (self._kinds[:count], kinds),
+        ):
+            rows[:, :width], rows[:, width:] = values, 0
         self._firsts[:count], self._increments[:count] = firsts, increments

@@ -8,8 +8,9 @@ import numpy as np
 
 from g2_recon.config import LocalizationConfig
 from g2_recon.geometry.scan import Scan
-from g2_recon.localization import pose_graph
+from g2_recon.localization import likelihood, pose_graph
 from g2_recon.localization.beams import Beams, beams
+from g2_recon.localization.drawn_keyframes import DrawnKeyframes
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.localizer import Localizer
 from g2_recon.localization.map_localizer import MapLocalizer
@@ -43,7 +44,7 @@ def warm_up_matching() -> None:
 
 
 def warm_up_smoothing() -> None:
-    """Those of them that improve poses by edges, and tell how sure they are."""
+    """Those of them that improve poses by edges, tell how sure they are, and search in what is drawn of keyframes."""
     keyframes = Keyframes()
     nothing = Beams(np.zeros((3, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros(3, np.uint8), 0.0, 0.5)
     uncertainty, step = Uncertainty(keyframes), np.array([0.3, 0.0, 0.0])
@@ -55,6 +56,12 @@ def warm_up_smoothing() -> None:
     )
     pose_graph.solve_window(keyframes.poses, 1, edges.first, edges.second, edges.T, edges.hessians, edges.gradients, 1)
     uncertainty.add(pose_graph.at_poses(keyframes.poses, edges), wheels=step, broken=False)
+    drawn = DrawnKeyframes(keyframes, cells=32, resolution=0.05, sigma=0.05, reach=1)
+    drawn.update(0)
+    likelihood.search(
+        drawn.grid, drawn.wide, nothing.points, nothing.kinds, step,
+        drawn.corner[0], drawn.corner[1], drawn.resolution, 1, 0.1, 1, 1,
+    )  # fmt: skip
 
 
 def warm_up_mapping() -> None:

@@ -18,9 +18,9 @@ _LATE = {
     "tracking": (
         "localization.pairing:match",
         "localization.pose_graph:solve_window",
-        "localization.uncertainty:_led_on",
+        "localization.likelihood:search",
     ),
-    "smoothing": ("localization.pose_graph:solve_window", "localization.uncertainty:_led_on"),
+    "smoothing": ("localization.pose_graph:solve_window", "localization.likelihood:search"),
     "localization": ("localization.loop_closure:register", "localization.branch_and_bound:find_places"),
     "registration": ("registration.placing:pose_at",),
     "reconstruction": (

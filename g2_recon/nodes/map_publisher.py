@@ -24,9 +24,10 @@ from g2_recon.geometry.trajectory import Trajectory
 from g2_recon.localization.keyframe_grid import KeyframeGrid
 from g2_recon.localization.methods import AnyLocalizer
 from g2_recon.nodes import conversions
+from g2_recon.nodes.memory import give_back_memory
 from g2_recon.nodes.parameters import LocalizerParameters
 from g2_recon.nodes.ros import LATCHED
-from g2_recon.nodes.stage_node import StageNode, give_back_memory
+from g2_recon.nodes.stage_node import StageNode
 
 # Wall time a second for the occupancy grid, so that it takes a tenth of a core at most while a closed loop makes it
 # count anew; it looks at the time after so many keyframes.

@@ -26,9 +26,10 @@ from g2_recon.geometry.cloud import ALL_PIECES, Piece, concatenate
 from g2_recon.nodes import conversions
 from g2_recon.nodes.journals import MessageJournal, Part
 from g2_recon.nodes.markers import MarkerTopic, drawings_of_mesh, drawings_of_wire_mesh, vertex_errors
+from g2_recon.nodes.memory import give_back_memory
 from g2_recon.nodes.parameters import ReconstructParameters
 from g2_recon.nodes.ros import reliable_qos, run, yield_processor
-from g2_recon.nodes.stage_node import StageNode, give_back_memory, session_folder
+from g2_recon.nodes.stage_node import StageNode, session_folder
 from g2_recon.reconstruction import collected_cloud
 from g2_recon.reconstruction.collected_cloud import CollectedCloud
 from g2_recon.reconstruction.face_errors import face_errors

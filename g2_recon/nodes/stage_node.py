@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
-import os
 import re
 import traceback
 from collections import Counter, deque
@@ -32,6 +30,7 @@ from g2_recon.geometry import se3
 from g2_recon.nodes import parameters
 from g2_recon.nodes.inputs import Input
 from g2_recon.nodes.kernels import KernelCompiler
+from g2_recon.nodes.memory import give_back_memory, memory_mb
 from g2_recon.nodes.ros import Transforms
 
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -308,22 +307,6 @@ class StageNode(Node, Generic[Settings]):
         self._lasting = Counter({key: self._lasting[key] + 1}) if text else Counter()
         if self._lasting[key] == _LOGGED_AFTER:
             self.say_once(key, text)
-
-
-def memory_mb() -> float:
-    """Memory that this process has in RAM, MB; 0 where the system does not tell."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def give_back_memory() -> None:
-    """Have the C library give back to the system what it keeps of large arrays that are gone, where it can (glibc)."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
-    if trim is not None:
-        trim(0)
 
 
 def session_folder(session_dir: str) -> Path:
