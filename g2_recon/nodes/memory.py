@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""Memory of a process that works for days: what it has, and what it gives back (glibc; elsewhere nothing is done)."""
+"""Memory of a process that works for days: what it has, and what it gives back.
+
+Where the C library is not glibc, or the system not Linux, nothing is done.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-# M_ARENA_MAX of malloc.h.
-_MOST_ARENAS = -8
+# M_ARENA_MAX of malloc.h, PR_SET_THP_DISABLE of sys/prctl.h.
+_MOST_ARENAS, _DISABLE_HUGE_PAGES = -8, 41
 
 
 def memory_mb() -> float:
@@ -28,13 +31,16 @@ def give_back_memory() -> None:
         trim(0)
 
 
-def share_memory_among_threads() -> None:
-    """Have all threads that begin from now on take memory from one place.
+def save_memory() -> None:
+    """Let gaps between what stays be few and small, from now on.
 
-    Each would else have its own, and in each what is gone leaves gaps: as much again as what a thread beside has made.
+    All threads take memory from one place: each would else have its own, with gaps of its own. And pages are small
+    ones: Linux would else make a large one of a few small ones that are in use, and of what lies between.
     """
     if set_option := _of_the_c_library("mallopt"):
         set_option(_MOST_ARENAS, 1)
+    if control := _of_the_c_library("prctl"):
+        control(_DISABLE_HUGE_PAGES, 1, 0, 0, 0)
 
 
 def _of_the_c_library(name: str) -> Any | None:
