@@ -16,7 +16,7 @@ from threading import Lock
 # What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
 _LATE = {
     "tracking": (
-        "localization.pairing:match",
+        "localization.smoothing:_lay_on_earlier",
         "localization.pose_graph:solve_window",
         "localization.likelihood:search",
     ),

@@ -30,6 +30,16 @@ def test_keyframes_keep_what_was_added_while_they_grow_in_number_and_in_width():
         assert (firsts[index], increments[index]) == (each.first, each.increment)
 
 
+def test_nothing_shows_of_what_was_in_the_memory_before(monkeypatch):
+    monkeypatch.setattr(np, "empty", lambda shape, dtype=float: np.full(shape, 77, dtype))
+    keyframes = Keyframes()
+    for count in (3, 9, 5):
+        keyframes.add(some_beams(count, count), np.zeros(3))
+    points, normals, kinds, _, _ = keyframes.arrays
+    for index, count in ((0, 3), (2, 5)):
+        assert not points[index, count:].any() and not normals[index, count:].any() and not kinds[index, count:].any()
+
+
 def test_poses_can_be_improved_in_place():
     keyframes = Keyframes()
     keyframes.add(some_beams(5, 0), np.zeros(3))
