@@ -120,7 +120,7 @@ def test_no_scan_is_lost(live):
     # In a room that it has just left the robot sees hardly anything new; elsewhere its scans are 17 cm apart.
     not_needed = sum(int(value) for key, value in status["/registrar_node"].items() if "not needed" in key)
     assert registered + not_needed == recorded["scan_vertical"]
-    assert not_needed < 0.05 * recorded["scan_vertical"]
+    assert not_needed < 0.1 * recorded["scan_vertical"]
     # Each as it comes, and those that the localizer moved once more.
     anew = int(status["/registrar_node"]["pieces placed anew"])
     assert int(status["/reconstruct_node"]["received cloud"]) == registered + anew
