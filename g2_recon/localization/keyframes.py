@@ -65,14 +65,8 @@ class Keyframes:
         if self._count == rows or count > width:
             self._grow(2 * rows if self._count == rows else rows, max(count, width))
         index = self._count
-        self._poses[index] = pose
-        for row, values in (
-            (self._points[index], beams.points),
-            (self._normals[index], beams.normals),
-            (self._kinds[index], beams.kinds),
-        ):
-            row[:count], row[count:] = values, 0
-        self._firsts[index], self._increments[index] = beams.first, beams.increment
+        one = beams.points, beams.normals, beams.kinds, np.array(beams.first), np.array(beams.increment)
+        self._put(index, pose[None], tuple(array[None] for array in one))
         self._count += 1
         return index
 
@@ -88,21 +82,19 @@ class Keyframes:
         count, width = arrays[2].shape
         self._allocate(max(count, 1), max(width, 1))
         self._count = count
-        self._put(poses, arrays)
+        self._put(0, poses, arrays)
 
     def _grow(self, rows: int, beams: int) -> None:
         poses, arrays = self.poses, self.arrays
         self._allocate(rows, beams)
-        self._put(poses, arrays)
+        self._put(0, poses, arrays)
 
-    def _put(self, poses: Float, arrays: tuple[NDArray[np.generic], ...]) -> None:
+    def _put(self, begin: int, poses: Float, arrays: tuple[NDArray[np.generic], ...]) -> None:
+        """Write to the rows from `begin` on; beams that there are not become invalid ones."""
         points, normals, kinds, firsts, increments = arrays
         count, width = kinds.shape
-        self._poses[:count] = poses
-        for rows, values in (
-            (self._points[:count], points),
-            (self._normals[:count], normals),
-            (self._kinds[:count], kinds),
-        ):
-            rows[:, :width], rows[:, width:] = values, 0
-        self._firsts[:count], self._increments[:count] = firsts, increments
+        rows = slice(begin, begin + count)
+        self._poses[rows] = poses
+        for kept, values in ((self._points, points), (self._normals, normals), (self._kinds, kinds)):
+            kept[rows, :width], kept[rows, width:] = values, 0
+        self._firsts[rows], self._increments[rows] = firsts, increments

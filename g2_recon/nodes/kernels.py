@@ -14,13 +14,10 @@ from importlib import import_module
 from threading import Lock
 
 # What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
+_LATE_IN_SMOOTHING = "localization.pose_graph:solve_window", "localization.likelihood:search"
 _LATE = {
-    "tracking": (
-        "localization.smoothing:_lay_on_earlier",
-        "localization.pose_graph:solve_window",
-        "localization.likelihood:search",
-    ),
-    "smoothing": ("localization.pose_graph:solve_window", "localization.likelihood:search"),
+    "tracking": ("localization.smoothing:_lay_on_earlier", *_LATE_IN_SMOOTHING),
+    "smoothing": _LATE_IN_SMOOTHING,
     "localization": ("localization.loop_closure:register", "localization.branch_and_bound:find_places"),
     "registration": ("registration.placing:pose_at",),
     "reconstruction": (

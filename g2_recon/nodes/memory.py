@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Memory of a process that works for days: what it has, and what it gives back.
 
-Where the C library is not glibc, or the system not Linux, nothing is done.
+What the C library (all of it is there in glibc on Linux) does not offer is left out.
 """
 
 from __future__ import annotations
