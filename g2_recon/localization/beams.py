@@ -111,9 +111,29 @@ def surface_normals(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
     each side, as far as they lie on one surface. `kinds` becomes SURFACE where there is a normal, and CORNER where
     there is clearly no surface.
     """
+    normals = np.zeros((len(points), 2), np.float32)
+    _lay_lines(points, kinds, normals)
+    for i in range(len(points)):
+        if normals[i, 0] != 0 or normals[i, 1] != 0:
+            kinds[i] = SURFACE
+        elif kinds[i] != INVALID and not _on_sparse_wall(points, kinds, i):
+            kinds[i] = CORNER
+    return normals
+
+
+@numba.njit(cache=True, nogil=True)
+def normals_of_scans(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
+    """The normals (N, B, 2) of scans, as `surface_normals` gave them when it gave them their kinds (N, B)."""
+    normals = np.zeros(points.shape, np.float32)
+    for k in range(len(points)):
+        _lay_lines(points[k], kinds[k], normals[k])
+    return normals
+
+
+@numba.njit(cache=True, nogil=True)
+def _lay_lines(points, kinds, normals):  # type: ignore[no-untyped-def]
+    """Write the normals (B, 2) of a scan where points lie on a line; which of them are INVALID is all of the kinds."""
     count = len(points)
-    normals = np.zeros((count, 2), np.float32)
-    surface = np.zeros(count, np.bool_)
     for i in range(count):
         if kinds[i] == INVALID:
             continue
@@ -142,13 +162,6 @@ def surface_normals(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
         x, y = -math.sin(angle), math.cos(angle)
         towards = -1.0 if x * points[i, 0] + y * points[i, 1] > 0 else 1.0
         normals[i, 0], normals[i, 1] = towards * x, towards * y
-        surface[i] = True
-    for i in range(count):
-        if surface[i]:
-            kinds[i] = SURFACE
-        elif kinds[i] != INVALID and not _on_sparse_wall(points, kinds, i):
-            kinds[i] = CORNER
-    return normals
 
 
 @numba.njit(cache=True, nogil=True)

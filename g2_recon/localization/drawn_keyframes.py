@@ -43,7 +43,7 @@ class DrawnKeyframes:
             return
         self._is_current = True
         count, poses = len(self._keyframes), self._keyframes.poses
-        points, _, kinds, _, _ = self._keyframes.arrays
+        points, kinds = self._keyframes.points, self._keyframes.kinds
         drawn = slice(max(segment, count - _DRAWN), count)
         self.corner = poses[-1, :2] - 0.5 * len(self.grid) * self.resolution
         likelihood.clear(self.grid, self._box, 0)

@@ -347,20 +347,20 @@ class Localizer:
 
     def growth(self, keyframes: int, scans: int) -> SessionGrowth:
         """What has come since there were so many keyframes and scans; nothing waits for it and nothing is moved."""
-        points, normals, kinds, firsts, increments = self._keyframes.arrays
+        points, normals, kinds, firsts, increments = self._keyframes.since(keyframes)
         return SessionGrowth(
             first=keyframes,
             poses=self._keyframes.poses.copy(),
             stamps=np.array(self._keyframe_stamps[keyframes:]),
-            points=points[keyframes:].copy(),
-            normals=normals[keyframes:].copy(),
-            kinds=kinds[keyframes:].copy(),
-            firsts=firsts[keyframes:].copy(),
-            increments=increments[keyframes:].copy(),
+            points=points.copy(),
+            normals=normals.copy(),
+            kinds=kinds.copy(),
+            firsts=firsts.copy(),
+            increments=increments.copy(),
             ways=np.array(self._ways[keyframes:]),
             wheel_steps=np.reshape(self._wheel_steps[3 * keyframes :], (-1, 3)),
             broken=np.array(self._broken[keyframes:], bool),
-            graph=self._graph() if len(points) > keyframes and not self._map_is_changing else None,
+            graph=self._graph() if len(points) and not self._map_is_changing else None,
             scans=ScanPoses(
                 np.array(self._stamps[scans:]),
                 np.array(self._owners[scans:], np.int64),
@@ -487,8 +487,7 @@ class Localizer:
 
     def _refine_scans(self) -> None:
         """Match every scan that is no keyframe to the keyframes around it."""
-        keyframes = self._keyframes
-        poses = keyframes.poses
+        poses, arrays = self._keyframes.poses, self._keyframes.arrays
         guesses = self._scan_poses()
         owners = np.array(self._owners)
         rows = np.array([i for i, scan in enumerate(self._scans) if scan is not None and owners[i] >= 0], int)
@@ -504,7 +503,7 @@ class Localizer:
                 scans.add(kept, guesses[row])
             seen = scans.arrays[:3]
             at, owner = guesses[rows[some]], owners[rows[some]]
-            placed = refinement.place(at, owner, near[some], *seen, poses, *keyframes.arrays)
+            placed = refinement.place(at, owner, near[some], *seen, poses, *arrays)
             for row, offset in zip(rows[some], se2.relative(poses[owner], placed), strict=True):
                 self._offsets[3 * row : 3 * row + 3] = array("d", offset)
 
@@ -542,8 +541,7 @@ class Localizer:
     def later_point_map(self) -> Callable[[], Float]:
         """The point map of now, for whoever wants to make it later, in another thread."""
         keyframes = self._keyframes.snapshot()
-        points, _, kinds, _, _ = keyframes.arrays
-        return partial(map_of_keyframes, keyframes.poses, points, kinds, self._config.map_spacing)
+        return partial(map_of_keyframes, keyframes.poses, keyframes.points, keyframes.kinds, self._config.map_spacing)
 
 
 def _close_more_loops(loops: LoopCloser, new: int | None, progress: Progress) -> None:

@@ -227,8 +227,8 @@ class LoopCloser:
 
     def _cloud(self, first: int, last: int, base: Float, farthest: float, cell: float) -> Float:
         """Points (N, 2) of keyframes in the frame of `base` (3,), seen from at most so far (m), one a cell (m)."""
-        points, _, kinds, _, _ = self._keyframes.arrays
-        cloud = _points_from(first, last, base, farthest, self._keyframes.poses, points, kinds)
+        keyframes = self._keyframes
+        cloud = _points_from(first, last, base, farthest, keyframes.poses, keyframes.points, keyframes.kinds)
         return cloud[first_in_each_cell(cloud, cell)]
 
     def _pyramid(self, c: int) -> Pyramid:
@@ -305,9 +305,11 @@ class LoopCloser:
         fixed = np.arange(self.maps[max(0, j - 1)].first, self.maps[min(len(self.maps) - 1, j + 1)].last, 2)
         poses = self._keyframes.poses
         base = poses[other.reference]
+        both = np.concatenate([moving, fixed])
+        m, f = np.split(np.arange(len(both)), [len(moving)])
         pose, inliers, hessian, same, against = register(
-            compose(base, start), moving, se2.relative(poses[one.reference], poses[moving]),
-            fixed, poses, *self._keyframes.arrays, _BEAM_STEP,
+            compose(base, start), m, se2.relative(poses[one.reference], poses[moving]),
+            f, poses[both], *self._keyframes.of_rows(both), _BEAM_STEP,
         )  # fmt: skip
         T = relative(base, pose)
         if inliers < _FEW_INLIERS or math.hypot(*(T - start)[:2]) > _FARTHEST_ICP_M:

@@ -15,7 +15,7 @@ from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import wrap
 from g2_recon.localization import pairing, pose_graph
 from g2_recon.localization.beams import CORNER, LOOSE
-from g2_recon.localization.keyframes import Keyframes
+from g2_recon.localization.keyframes import Arrays, Keyframes
 from g2_recon.localization.pairing import PAIR_SIGMA_M
 from g2_recon.progress import Progress, silent
 
@@ -63,7 +63,7 @@ def refine(
     ways: (N,) m driven until there. odometry: (N, 3) the step of the wheels from the keyframe before, NaN: unknown.
     broken: (N,) where track was lost on the way to a keyframe.
     """
-    poses = keyframes.poses.copy()
+    poses, arrays = keyframes.poses.copy(), keyframes.arrays
     smoothed = se2.relative(poses[:-1], poses[1:])
     wheels = _wheel_edges(smoothed, odometry[1:], broken[1:])
     first: Int = np.empty(0, np.int64)
@@ -73,7 +73,7 @@ def refine(
         if (wide + done) % 3 == 0:
             first, second = neighbors(poses, ways)
         before = poses
-        poses = _improved(poses, keyframes, wheels, first, second, _partners(done))
+        poses = _improved(poses, arrays, wheels, first, second, _partners(done))
         if done == 0 and wide < _MOST_WIDE_ROUNDS and _most_changed(before, poses) > _AT_REST_M:
             wide += 1
         else:
@@ -93,12 +93,12 @@ def _partners(done: int) -> _Partners:
 
 
 def _improved(
-    poses: Float, keyframes: Keyframes, wheels: pose_graph.Edges, first: Int, second: Int, partners: _Partners
+    poses: Float, arrays: Arrays, wheels: pose_graph.Edges, first: Int, second: Int, partners: _Partners
 ) -> Float:
     """The poses (N, 3) after one round: pairs of keyframes (M,) laid on each other, and the graph of them solved."""
     step = partners.step
     T, hessians, gradients, counts = pairing.pairs(
-        poses, first, second, *keyframes.arrays, partners.distance, partners.sigma, partners.loose, step
+        poses, first, second, *arrays, partners.distance, partners.sigma, partners.loose, step
     )
     # As of all beams.
     hessians, gradients, counts = step * hessians, step * gradients, step * counts

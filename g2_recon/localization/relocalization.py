@@ -104,7 +104,7 @@ class WholeMap:
     def __init__(self, keyframes: Keyframes) -> None:
         """Raises InputError where the keyframes lie so far apart that there is no memory to search between them."""
         self._keyframes = keyframes
-        points, _, kinds, _, _ = keyframes.arrays
+        points, kinds = keyframes.points, keyframes.kinds
         poses = keyframes.poses
         scans = []
         for k in range(len(keyframes)):
@@ -155,7 +155,7 @@ class WholeMap:
     @staticmethod
     def _query(scans: Keyframes, rows: Int) -> tuple[Float, float]:
         """Points (N, 2) of scans (M,), not too many, as seen from the last of them, and m of wall that they cover."""
-        points, _, kinds, _, _ = scans.arrays
+        points, kinds = scans.points, scans.kinds
         parts = []
         for k in rows:
             near = (kinds[k] != INVALID) & (np.hypot(points[k, :, 0], points[k, :, 1]) < _QUERY_RANGE_M)

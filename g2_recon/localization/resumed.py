@@ -106,8 +106,8 @@ class ResumedLocalizer(Localizer):
     def _near_given(self, whole: WholeMap, given: Float) -> Place | None:
         """The place of the latest keyframe near a pose that was given."""
         self._given = None
-        arrays = self._keyframes.arrays
-        seen = Beams(arrays[0][-1], arrays[1][-1], arrays[2][-1], float(arrays[3][-1]), float(arrays[4][-1]))
+        points, normals, kinds, firsts, increments = self._keyframes.since(len(self._keyframes) - 1)
+        seen = Beams(points[0], normals[0], kinds[0], float(firsts[0]), float(increments[0]))
         place = whole.around(given, seen, metres=GIVEN_M, radians=GIVEN_RAD)
         return place if place is not None and fits_as_given(place) else None
 

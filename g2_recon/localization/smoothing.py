@@ -87,10 +87,14 @@ class Smoother:
         """Append the edges of keyframe i to those before it that it fits on, and that of the wheels."""
         self._begins[i] = self._edges.end
         keyframes, rows = self._keyframes, self._edges.room(len(_SPANS) + 1)
-        self._edges.end += _lay_on_earlier(
+        latest = keyframes.latest
+        laid = _lay_on_earlier(
             rows.first, rows.second, rows.T, rows.hessians, rows.gradients,
-            i, segment, self._wheels[i], keyframes.poses, *keyframes.arrays,
+            i - latest, segment - latest, self._wheels[i], keyframes.poses[latest:], *keyframes.since(latest),
         )  # fmt: skip
+        rows.first[:laid] += latest
+        rows.second[:laid] += latest
+        self._edges.end += laid
 
 
 class _Rows:

@@ -223,10 +223,11 @@ class Tracker:
         """Match from a start; the guess (the start, if none is given) with its sigma holds what the scan does not."""
         keyframes = self._keyframes
         spans, iterations = (_FEW_REFERENCES, _FEW_ITERATIONS) if few else (_REFERENCES, _ITERATIONS)
+        latest = keyframes.latest
         pose, inliers, hessian, information, agreeing, quality = match_on_latest(
             start, start if guess is None else guess, sigma, self.pair_sigma, iterations,
             beams.points, beams.normals, beams.kinds, beams.first, beams.increment,
-            spans, self.segment, keyframes.poses, *keyframes.arrays,
+            spans, self.segment - latest, keyframes.poses[latest:], *keyframes.since(latest),
         )  # fmt: skip
         return Placement(pose, information, quality, inliers, quality >= LEAST_QUALITY, False, hessian, agreeing)
 
