@@ -16,22 +16,31 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
-from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.mesh import Mesh
-from g2_recon.geometry.point_grid import has_point_near, point_grid
+from g2_recon.geometry.point_grid import point_grid
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.collected_cloud import Part
-from g2_recon.reconstruction.mesh_of_submaps import Neurons, Sheet, data_of, finished, join, sound_cells, with_data
+from g2_recon.reconstruction.mesh_of_submaps import (
+    Neurons,
+    Sheet,
+    data_of,
+    finished,
+    join,
+    sound_cells,
+    usual_edge,
+    with_data,
+    without_scraps,
+)
 from g2_recon.reconstruction.normals import SECTORS
 from g2_recon.reconstruction.own_frame import OwnFrame, own_frame
 from g2_recon.reconstruction.result import Reconstruction
+from g2_recon.reconstruction.sewing import MADE_ANEW, sewn
 from g2_recon.reconstruction.solid import (
     NORMAL_RADIUS,
     build_submaps,
@@ -41,7 +50,7 @@ from g2_recon.reconstruction.solid import (
     reported,
     wire_of,
 )
-from g2_recon.reconstruction.support import supported
+from g2_recon.reconstruction.support import are_near, supported
 from g2_recon.reconstruction.surface_points import SurfacePoints
 from g2_recon.reconstruction.usable_points import check_enough, near_sensor
 
@@ -53,6 +62,8 @@ Mask = NDArray[np.bool_]
 _COMPANY = 2.0
 # Where a larger share of the points is clustered anew, all are.
 _MOST_ANEW = 0.5
+# Where a larger share of the faces is joined anew, all are: it takes no longer.
+_MOST_JOINED = 0.5
 
 _NONE = np.empty(0, np.int64)
 _NO_FACES = np.empty((0, 3), np.int64)
@@ -94,7 +105,8 @@ class _State:
 
     clouds: in the map frame, by number of the part. frame: that of the points, None before the first. neurons: of all
     submaps, in which `submap` is the name of one; without cells and owners. faces: (F, 3) joined, before creases.
-    loose: (V,) neurons that are new or have lost a face since. sided: whether the normals of the submaps are towards
+    loose: (V,) neurons that are new or have lost a face since; gone: (M, 3) where some were that are no more. sheet:
+    the faces with creases and borders, None before there are any. sided: whether the normals of the submaps are towards
     sensors. noise: m, of the largest surface so far, of `noise_points` points. names: how many were given.
     """
 
@@ -104,6 +116,8 @@ class _State:
     neurons: Neurons
     faces: Int
     loose: Mask
+    gone: Float
+    sheet: Sheet | None = None
     sided: bool = True
     noise: float = 0.0
     noise_points: int = 0
@@ -113,7 +127,7 @@ class _State:
     def of_nothing() -> _State:
         nothing = np.empty((0, 3))
         neurons = Neurons(nothing, nothing, nothing, _NONE, _NONE.astype(bool), _NO_FACES, _NONE)
-        return _State({}, None, _blank(_NONE, _NONE, nothing), neurons, _NO_FACES, _NONE.astype(bool))
+        return _State({}, None, _blank(_NONE, _NONE, nothing), neurons, _NO_FACES, _NONE.astype(bool), nothing)
 
     def cloud(self, rows: Int | None = None) -> Cloud:
         """The points `rows` (M,), or all, in the map frame."""
@@ -246,7 +260,7 @@ def _take_in(
     names, own = _names(state), state.points.own
     keep = ~np.isin(state.points.part, gone)
     changed = np.concatenate([own[~keep], added.own])
-    near = _near(own, changed, NORMAL_RADIUS * config.spacing, workers)
+    near = are_near(own, changed, NORMAL_RADIUS * config.spacing, workers)
     stale = np.unique(names[(near | ~keep) & (names >= 0)])
     anew = np.isin(names, stale) | (near & (names < 0))
     if not keep.all():
@@ -276,7 +290,9 @@ def _submaps_of_all(state: _State, names: NDArray[np.int32], config: Reconstruct
     """Phases 0 to 2 as for a cloud that does not grow. names: (N,) of the submap that each point was of."""
     surface, order = _surface_of_all(state, config, progress)
     rows = np.arange(len(surface))
-    state.neurons, state.faces, state.loose = _State.of_nothing().neurons, _NO_FACES, _NONE.astype(bool)
+    nothing = _State.of_nothing()
+    state.neurons, state.faces, state.loose = nothing.neurons, nothing.faces, nothing.loose
+    state.gone, state.sheet = nothing.gone, None
     state.sided, state.noise, state.noise_points = state.seen_from, 0.0, 0
     state.points = _with_surface(state.points, rows, surface.neighbors)
     _add_submaps(state, rows, surface, names[order[: len(surface)]], config, progress)
@@ -310,7 +326,7 @@ def _submaps_of_some(
     """
     workers = config.workers or os.cpu_count() or 1
     points = state.points
-    company = _near(points.own, points.own[anew], _COMPANY * NORMAL_RADIUS * config.spacing, workers)
+    company = are_near(points.own, points.own[anew], _COMPANY * NORMAL_RADIUS * config.spacing, workers)
     rows = np.flatnonzero(anew | company)
     state.points = replace(
         points, on_surface=points.on_surface & ~anew, owner=np.where(anew, np.int32(-1), points.owner)
@@ -368,27 +384,97 @@ def _add_submaps(
     state.noise, state.noise_points, state.names = noise, noise_points, given
 
 
+class _Some(NamedTuple):
+    """Some of what there is. points: rows (n,) of those on a surface. neurons: (v,). faces: mask (F,)."""
+
+    points: Int
+    neurons: Int
+    faces: Mask
+
+
 def _join(state: _State, config: ReconstructionConfig, progress: Progress) -> Mesh:
-    """Phases 3 and 4: join the cells of new submaps to the faces there are; the mesh."""
-    workers = config.workers or os.cpu_count() or 1
+    """Phases 3 and 4: join the cells of new submaps to the faces there are and finish what is around; the mesh."""
     check_covered(state.neurons.places)
-    rows = np.flatnonzero(state.points.on_surface)
-    neurons = replace(state.neurons, owner=state.points.owner[rows].astype(np.int64))
-    data = data_of(state.points.own[rows], _renumbered(state.points.neighbors, rows), config, workers)
 
     def work() -> Mesh:
-        sound = sound_cells(neurons, data, state.faces)
-        joined = join(neurons, sound, data, config)
-        # Elsewhere the front would only try again what it could not do before.
-        where = state.loose[joined.faces].any(axis=1) | (np.arange(len(joined.faces)) < len(sound))
-        joined = Sheet(joined.vertices, joined.faces[where], joined.submap[where])
-        mesh = finished(joined, neurons, data, config)
+        faces, sheet = _changed_only(state, config) or _joined(state, _all_of(state), config)
+        mesh = without_scraps(sheet, config)
         check_covered(mesh.faces)
-        state.neurons, state.faces = replace(state.neurons, cells=_NO_FACES), joined.faces
-        state.loose = np.zeros(len(state.loose), bool)
+        state.neurons, state.faces, state.sheet = replace(state.neurons, cells=_NO_FACES), faces, sheet
+        state.loose, state.gone = np.zeros(len(state.loose), bool), np.empty((0, 3))
         return mesh
 
     return reported(work, "joining", progress)
+
+
+def _changed_only(state: _State, config: ReconstructionConfig) -> tuple[Int, Sheet] | None:
+    """The faces and the sheet where only what is around changes is joined and finished; None where it is too much.
+
+    Creases, bends, borders and holes hang on what is within some cells.
+    """
+    workers = config.workers or os.cpu_count() or 1
+    changed = np.concatenate([state.neurons.places[state.loose], state.gone])
+    if state.sheet is None:
+        return None
+    if not len(changed):
+        return state.faces, state.sheet
+    some = _some_around(state, changed, config, workers)
+    if some is None:
+        return None
+    edge = usual_edge(state.neurons, np.concatenate([state.faces, state.neurons.cells]), config)
+    faces, new = _joined(state, some, config, edge=edge)
+    sheet = sewn(changed, state.sheet, new, config.spacing, workers)
+    return None if sheet is None else (np.concatenate([state.faces[~some.faces], faces]), sheet)
+
+
+def _some_around(state: _State, changed: Float, config: ReconstructionConfig, workers: int) -> _Some | None:
+    """What is around the places (M, 3) that have changed; None where that is most of it."""
+    distance = MADE_ANEW * config.spacing
+    neurons = are_near(state.neurons.places, changed, distance, workers)
+    faces: Mask = np.asarray(neurons[state.faces].any(axis=1))
+    if not faces.any() or faces.mean() > _MOST_JOINED:
+        return None
+    neurons[state.faces[faces]] = True
+    owner = state.points.owner
+    points = state.points.on_surface & np.where(owner >= 0, neurons[owner], False)
+    free = np.flatnonzero(state.points.on_surface & (owner < 0))
+    points[free] = are_near(state.points.own[free], changed, distance, workers)
+    return _Some(np.flatnonzero(points), np.flatnonzero(neurons), faces)
+
+
+def _all_of(state: _State) -> _Some:
+    points = np.flatnonzero(state.points.on_surface)
+    return _Some(points, np.arange(len(state.neurons.places)), np.ones(len(state.faces), bool))
+
+
+def _joined(
+    state: _State, some: _Some, config: ReconstructionConfig, *, edge: float | None = None
+) -> tuple[Int, Sheet]:
+    """The faces (F, 3), and the sheet that they become, of some of what there is and of all new cells."""
+    known, rows = state.neurons, some.neurons
+    data = data_of(
+        state.points.own[some.points],
+        _renumbered(state.points.neighbors, some.points),
+        config,
+        config.workers or os.cpu_count() or 1,
+    )
+    number = np.full(len(known.places) + 1, -1)
+    number[rows] = np.arange(len(rows))
+    neurons = Neurons(
+        places=known.places[rows],
+        normals=known.normals[rows],
+        centers=known.centers[rows],
+        submap=known.submap[rows],
+        bent=known.bent[rows],
+        cells=number[known.cells],
+        owner=number[state.points.owner[some.points]],
+    )
+    sound = sound_cells(neurons, data, number[state.faces[some.faces]])
+    joined = join(neurons, sound, data, config, edge=edge)
+    # Elsewhere the front would only try again what it could not do before.
+    where = state.loose[rows][joined.faces].any(axis=1) | (np.arange(len(joined.faces)) < len(sound))
+    joined = Sheet(joined.vertices, joined.faces[where], joined.submap[where])
+    return rows[joined.faces], finished(joined, neurons, data, config)
 
 
 def _leave_what_has_data(state: _State, config: ReconstructionConfig) -> None:
@@ -407,6 +493,7 @@ def _leave_out(state: _State, stale: NDArray[np.int32]) -> None:
     known = state.neurons
     keep = ~np.isin(known.submap, stale)
     number = np.where(keep, np.cumsum(keep) - 1, -1)
+    state.gone = np.concatenate([state.gone, known.places[~keep]])
     state.neurons = Neurons(
         places=known.places[keep],
         normals=known.normals[keep],
@@ -502,21 +589,6 @@ def _renumbered(neighbors: NDArray[np.int32], rows: Int) -> NDArray[np.int32]:
     number[rows] = np.arange(len(rows), dtype=np.int32)
     among = number[neighbors[rows]]
     return np.where(among >= 0, among, np.arange(len(rows), dtype=np.int32)[:, None])
-
-
-def _near(points: Float, others: Float, distance: float, workers: int) -> Mask:
-    """Mask (N,) of the points (N, 3) with another one (M, 3) within `distance` metres."""
-    mask = np.zeros(len(points), bool)
-    if len(others) and len(points):
-        grid = point_grid(others, cell=distance)
-        in_chunks(lambda begin, end: _fill_near(points, grid, distance, begin, end, mask), len(points), workers)
-    return mask
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_near(points, grid, distance, begin, end, mask):  # type: ignore[no-untyped-def]
-    for i in range(begin, end):
-        mask[i] = has_point_near(grid, points[i, 0], points[i, 1], points[i, 2], distance)
 
 
 def _result(state: _State, mesh: Mesh, count: int) -> Reconstruction:

@@ -97,7 +97,8 @@ def mesh_of_submaps(
     """The mesh of all submaps. owner: (N,) the neuron of each point of the surface, -1 for none."""
     data = data_of(surface.points, surface.neighbors, config, workers)
     neurons = with_data(submaps, owner)
-    return finished(join(neurons, sound_cells(neurons, data), data, config), neurons, data, config)
+    joined = join(neurons, sound_cells(neurons, data), data, config)
+    return without_scraps(finished(joined, neurons, data, config), config)
 
 
 def data_of(points: Float, neighbors: NDArray[np.int32], config: ReconstructionConfig, workers: int) -> Data:
@@ -107,8 +108,8 @@ def data_of(points: Float, neighbors: NDArray[np.int32], config: ReconstructionC
     return Data(points, neighbors, point_grid(points, cell=near / math.sqrt(3)), near, workers)
 
 
-def finished(joined: Sheet, neurons: Neurons, data: Data, config: ReconstructionConfig) -> Mesh:
-    """The mesh of submaps that are joined, with its creases and borders."""
+def finished(joined: Sheet, neurons: Neurons, data: Data, config: ReconstructionConfig) -> Sheet:
+    """Submaps that are joined, with their creases and borders."""
     creased = crease(joined, neurons)
     fitted = fit_bends(creased, neurons, data, config)
     extended = extend(fitted, creased, neurons, data, config)
@@ -151,15 +152,21 @@ def sound_cells(neurons: Neurons, data: Data, known: Int = _NO_FACES) -> Int:
     )
 
 
-def join(neurons: Neurons, sound: Int, data: Data, config: ReconstructionConfig) -> Sheet:
+def usual_edge(neurons: Neurons, faces: Int, config: ReconstructionConfig) -> float:
+    """The usual length, m, of the edges of cells; faces: (F, 3) these, and maybe others."""
+    cells = faces[(neurons.submap[faces] == neurons.submap[faces[:, :1]]).all(axis=1)]
+    if not len(cells):
+        return config.spacing
+    return float(np.median(np.linalg.norm(neurons.places[cells[:, 0]] - neurons.places[cells[:, 1]], axis=1)))
+
+
+def join(neurons: Neurons, sound: Int, data: Data, config: ReconstructionConfig, *, edge: float | None = None) -> Sheet:
     """Phase 3: the strips between the submaps, and the small holes that the front left.
 
-    sound: (F, 3) the cells of the submaps, and strips that are there already.
+    sound: (F, 3) the cells of the submaps, and strips that are there already. edge: m, of the cells of all submaps,
+    where these are some only.
     """
-    edge = config.spacing
-    cells = sound[(neurons.submap[sound] == neurons.submap[sound[:, :1]]).all(axis=1)]
-    if len(cells):
-        edge = float(np.median(np.linalg.norm(neurons.places[cells[:, 0]] - neurons.places[cells[:, 1]], axis=1)))
+    edge = edge or usual_edge(neurons, sound, config)
     joins = join_submaps(
         neurons.places,
         neurons.normals,
@@ -210,8 +217,8 @@ def extend(sheet: Sheet, home: Sheet, neurons: Neurons, data: Data, config: Reco
     return Sheet(vertices, sheet.faces[sound], sheet.submap[sound])
 
 
-def finish(sheet: Sheet, data: Data, config: ReconstructionConfig) -> Mesh:
-    """The mesh with small holes closed, one fan of faces a vertex, and without scraps."""
+def finish(sheet: Sheet, data: Data, config: ReconstructionConfig) -> Sheet:
+    """The sheet with small holes closed, and one fan of faces a vertex."""
     grain = _GRAIN * config.spacing
     sheet = _with(sheet, bridge_pinches(sheet.vertices, sheet.faces, data.grid, support_distance=data.near))
     # Only where no two fans share a vertex has each hole a border of its own.
@@ -219,7 +226,11 @@ def finish(sheet: Sheet, data: Data, config: ReconstructionConfig) -> Mesh:
     sheet = _filled(Sheet(vertices, faces, sheet.submap), data, max_edges=_FINISHED_HOLE)
     sheet = _parted(sheet, grain, data.workers)
     # Where a face was dropped there may be a hole again.
-    sheet = _filled(sheet, data, max_edges=_FINISHED_HOLE)
+    return _filled(sheet, data, max_edges=_FINISHED_HOLE)
+
+
+def without_scraps(sheet: Sheet, config: ReconstructionConfig) -> Mesh:
+    """The mesh of a sheet."""
     # A piece of less than a cell is no surface that one would see.
     large = large_pieces(sheet.vertices, sheet.faces, least_area=config.spacing**2)
     used, number = np.unique(sheet.faces[large], return_inverse=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.chunks import in_chunks
-from g2_recon.geometry.point_grid import PointGrid, has_point_near, nearest_point
+from g2_recon.geometry.point_grid import PointGrid, has_point_near, nearest_point, point_grid
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -79,3 +79,18 @@ def _on_own_data(middle, submap, grid, label, distance, begin, end, mask):  # ty
     for face in range(begin, end):
         nearest = nearest_point(grid, middle[face, 0], middle[face, 1], middle[face, 2], distance)
         mask[face] = nearest >= 0 and label[nearest] == submap[face]
+
+
+def are_near(points: Float, others: Float, distance: float, workers: int) -> Mask:
+    """Mask (N,) of the points (N, 3) with another one (M, 3) within `distance` metres."""
+    mask = np.zeros(len(points), bool)
+    if len(others) and len(points):
+        grid = point_grid(others, cell=distance)
+        in_chunks(lambda begin, end: _fill_near(points, grid, distance, begin, end, mask), len(points), workers)
+    return mask
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_near(points, grid, distance, begin, end, mask):  # type: ignore[no-untyped-def]
+    for i in range(begin, end):
+        mask[i] = has_point_near(grid, points[i, 0], points[i, 1], points[i, 2], distance)

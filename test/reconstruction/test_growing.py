@@ -15,7 +15,7 @@ from g2_recon.geometry.edges import edges_of, half_edge_numbers
 from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.mesh import TrueSurface
 from g2_recon.reconstruction.collected_cloud import CollectedCloud, Part
-from g2_recon.reconstruction.growing import GrowingReconstruction, _near
+from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.reconstructor import reconstruct
 
 CONFIG = ReconstructionConfig()
@@ -277,11 +277,3 @@ def test_points_cleared_and_sent_again_are_another_part():
     collected.clear()
     collected.add(PIECES[0])
     assert collected.parts()[None].version != before
-
-
-def test_nearness_is_that_of_all_distances():
-    rng = np.random.default_rng(0)
-    points, others = rng.random((300, 3)), rng.random((20, 3))
-    expected = (np.linalg.norm(points[:, None] - others, axis=2) <= 0.15).any(axis=1)
-    np.testing.assert_array_equal(_near(points, others, 0.15, 2), expected)
-    assert 0 < expected.sum() < 300

@@ -3,7 +3,7 @@
 import numpy as np
 
 from g2_recon.geometry.point_grid import point_grid
-from g2_recon.reconstruction.support import on_own_data, supported
+from g2_recon.reconstruction.support import are_near, on_own_data, supported
 
 
 def test_a_face_over_a_gap_in_the_data_is_not_supported():
@@ -25,3 +25,11 @@ def test_faces_over_the_data_of_another_submap_are_told():
     for submap, own in (([0, 1], [True, True]), ([0, 0], [True, False]), ([1, 1], [False, True])):
         assert on_own_data(vertices, faces, np.array(submap), grid, label, 0.2).tolist() == own
     assert not on_own_data(vertices + (0, 0, 1.0), faces, np.array([0, 1]), grid, label, 0.2).any()
+
+
+def test_nearness_is_that_of_all_distances():
+    rng = np.random.default_rng(0)
+    points, others = rng.random((300, 3)), rng.random((20, 3))
+    expected = (np.linalg.norm(points[:, None] - others, axis=2) <= 0.15).any(axis=1)
+    np.testing.assert_array_equal(are_near(points, others, 0.15, 2), expected)
+    assert 0 < expected.sum() < 300
