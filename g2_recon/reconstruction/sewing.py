@@ -17,8 +17,9 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# Cells away from a change: what differs so near has come of it; both sheets are compared up to here.
-_OF_CHANGE, _COMPARED = 3.0, 6.0
+# Cells away from a change: what differs so near has come of it; faces are compared up to here, and have their vertices
+# up to here.
+_OF_CHANGE, _COMPARED, _VERTICES = 3.0, 6.0, 8.0
 MADE_ANEW = 9.0
 """So many cells away from a change the new sheet has to reach: where it is cut off it differs from the whole."""
 
@@ -35,21 +36,20 @@ def sewn(changed: Float, before: Sheet, new: Sheet, cell: float, workers: int) -
     reaches so far from all changes that the cut of the new sheet may show in it stays as it was; None where such a one
     is also near a change: then all has to be made anew. Faces and vertices that stay keep their order.
     """
-    inside, new_inside = (are_near(sheet.vertices, changed, _COMPARED * cell, workers) for sheet in (before, new))
-    number = _found_again(before, new, inside, new_inside, _SAME * cell)
-    added, known = np.flatnonzero(number == _UNKNOWN), np.flatnonzero(number != _UNKNOWN)
-    number[added] = len(before.vertices) + np.arange(len(added))
+    asked, new_asked = (are_near(sheet.vertices, changed, _VERTICES * cell, workers) for sheet in (before, new))
+    number, added = _numbers(before, new, asked, new_asked, _SAME * cell)
     vertices = np.concatenate([before.vertices, new.vertices[added]])
-    vertices[number[known]] = new.vertices[known]
-    inside = np.concatenate([inside, new_inside[added]])
-    faces = number[new.faces]
-    gone, come = _only_in_one(before.faces, faces, inside)
-    differing = np.concatenate([before.faces[gone], faces[come]])
-    piece = _hanging_together(differing, len(vertices))
+    inside = are_near(vertices, changed, _COMPARED * cell, workers)
+    vertices[number[inside[number]]] = new.vertices[inside[number]]
+    faces, submap = number[new.faces], before.submap.copy()
+    looked_at, new_looked_at = (np.flatnonzero(inside[each].any(axis=1)) for each in (before.faces, faces))
+    same, new_same = _in_both(before.faces[looked_at], faces[new_looked_at], len(vertices))
+    submap[looked_at[same]] = new.submap[new_looked_at[new_same]]
+    gone, come = np.delete(looked_at, same), np.delete(new_looked_at, new_same)
+    piece = _hanging_together(np.concatenate([before.faces[gone], faces[come]]), len(vertices))
     uncertain, of_change = np.zeros((2, len(vertices)), bool)
     uncertain[piece[~inside]] = True
-    corners = np.unique(differing)
-    of_change[piece[corners[are_near(vertices[corners], changed, _OF_CHANGE * cell, workers)]]] = True
+    of_change[piece[are_near(vertices, changed, _OF_CHANGE * cell, workers)]] = True
     if (uncertain & of_change).any():
         return None
     gone, come = gone[~uncertain[piece[before.faces[gone, 0]]]], come[~uncertain[piece[faces[come, 0]]]]
@@ -59,14 +59,17 @@ def sewn(changed: Float, before: Sheet, new: Sheet, cell: float, workers: int) -
     return Sheet(
         vertices[used],
         corners.reshape(-1, 3).astype(np.int64),
-        np.concatenate([before.submap[stays], new.submap[come]]),
+        np.concatenate([submap[stays], new.submap[come]]),
     )
 
 
-def _found_again(before: Sheet, new: Sheet, of_before: Mask, of_new: Mask, tolerance: float) -> Int:
-    """Which vertex of the sheet before each one (W,) of the new one is, of those that masks name; -1 for none."""
-    number = np.full(len(new.vertices), _UNKNOWN)
+def _numbers(before: Sheet, new: Sheet, of_before: Mask, of_new: Mask, tolerance: float) -> tuple[Int, Int]:
+    """The number (W,) of each vertex of the new sheet, and those (A,) that were not there before: theirs come last.
+
+    One of the mask of_new is one of of_before where the two are nearest to each other, and within the tolerance (m).
+    """
     among, rows = _used(before, of_before), _used(new, of_new)
+    number = np.full(len(new.vertices), _UNKNOWN)
     if len(among) and len(rows):
         old, come = before.vertices[among], new.vertices[rows]
         distance, place = cKDTree(old).query(come, distance_upper_bound=tolerance)
@@ -74,7 +77,9 @@ def _found_again(before: Sheet, new: Sheet, of_before: Mask, of_new: Mask, toler
         # Copies of a vertex lie close to each other: each has one that it is.
         same = near[cKDTree(come).query(old[place[near]])[1] == near]
         number[rows[same]] = among[place[same]]
-    return number
+    added = np.flatnonzero(number == _UNKNOWN)
+    number[added] = len(before.vertices) + np.arange(len(added))
+    return number, added
 
 
 def _used(sheet: Sheet, which: Mask) -> Int:
@@ -84,18 +89,18 @@ def _used(sheet: Sheet, which: Mask) -> Int:
     return np.flatnonzero(used & which)
 
 
-def _only_in_one(some: Int, others: Int, inside: Mask) -> tuple[Int, Int]:
-    """Which of the faces (F, 3) with a vertex inside (V,) are not among others (G, 3), and the other way round.
+def _in_both(some: Int, others: Int, count: int) -> tuple[Int, Int]:
+    """Which of some faces (F, 3) are also among others (G, 3), and which these are there; `count` vertices.
 
     Each corner of a face may be its first.
     """
-    one, other = np.flatnonzero(inside[some].any(axis=1)), np.flatnonzero(inside[others].any(axis=1))
-    size = len(inside)
-    keys, their_keys = (_in_order(faces) @ [size**2, size, 1] for faces in (some[one], others[other]))
-    return one[~np.isin(keys, their_keys)], other[~np.isin(their_keys, keys)]
+    # Beyond 2 million vertices two faces may have the same number, but they will not meet here.
+    keys, others_keys = (_first_corner_least(faces) @ [count**2, count, 1] for faces in (some, others))
+    _, one, other = np.intersect1d(keys, others_keys, return_indices=True)
+    return one, other
 
 
-def _in_order(faces: Int) -> Int:
+def _first_corner_least(faces: Int) -> Int:
     first = faces.argmin(axis=1)[:, None]
     return np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
 
