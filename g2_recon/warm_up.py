@@ -3,7 +3,8 @@
 """Compile kernels, so that no first use has to wait for it: python -m g2_recon.warm_up [PART...].
 
 Parts are tracking (of localization, in a new map), smoothing (the half of it that another process compiles meanwhile),
-localization, registration and reconstruction (of clouds with sensors, mode solid); without any, all kernels there are.
+localization, registration, reconstruction (of clouds with sensors, mode solid) and training (the half of that which
+another process compiles meanwhile); without any, all kernels there are.
 """
 
 from __future__ import annotations
@@ -26,9 +27,13 @@ from g2_recon.localization.warm_up import (
     warm_up_smoothing,
     warm_up_tracking,
 )
-from g2_recon.reconstruction.collected_cloud import Part
-from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.reconstructor import reconstruct
+from g2_recon.reconstruction.warm_up import (
+    corner_of_a_room,
+    warm_up_joining,
+    warm_up_reconstruction,
+    warm_up_training,
+)
 from g2_recon.registration.prepared_map import prepare_map
 from g2_recon.registration.prepared_sweep import prepare
 from g2_recon.registration.registrar import Registrar
@@ -38,8 +43,8 @@ def warm_up() -> None:
     """Run every kernel once on a few points; Numba keeps what it compiles on disk."""
     warm_up_localization()
     warm_up_registration()
-    _warm_up_reconstruction()
-    cloud = _corner_of_a_room(with_sensor=False)
+    warm_up_reconstruction()
+    cloud = corner_of_a_room(with_sensor=False)
     reconstruct(cloud, ReconstructionConfig())
     triangles = np.eye(3), np.array([[0, 1, 2], [2, 1, 0]])
     score_surface(TrueSurface(*triangles), *triangles, samples=10)
@@ -59,35 +64,22 @@ def warm_up_registration() -> None:
     prepare_map(Cloud(points, np.zeros_like(points)), SweepConfig())
 
 
-def _warm_up_tracking_in_two() -> None:
-    """In two processes, as the robot waits for it."""
-    beside = subprocess.Popen([sys.executable, "-m", "g2_recon.warm_up", "smoothing"])
-    warm_up_matching()
+def _in_two(one: Callable[[], None], other: str, all_of_it: Callable[[], None]) -> None:
+    """One half here, the other part in another process, as somebody waits for it; then all, which loads them."""
+    beside = subprocess.Popen([sys.executable, "-m", "g2_recon.warm_up", other])
+    one()
     beside.wait()
-    warm_up_tracking()
-
-
-def _warm_up_reconstruction() -> None:
-    growing, cloud = GrowingReconstruction(ReconstructionConfig()), _corner_of_a_room(with_sensor=True)
-    for end in (len(cloud) - 10, len(cloud)):
-        growing.update({0: Part(0, cloud.select(np.arange(end)))})
+    all_of_it()
 
 
 PARTS: dict[str, Callable[[], None]] = {
-    "tracking": _warm_up_tracking_in_two,
+    "tracking": lambda: _in_two(warm_up_matching, "smoothing", warm_up_tracking),
     "smoothing": warm_up_smoothing,
     "localization": warm_up_mapping,
     "registration": warm_up_registration,
-    "reconstruction": _warm_up_reconstruction,
+    "reconstruction": lambda: _in_two(warm_up_joining, "training", warm_up_reconstruction),
+    "training": warm_up_training,
 }
-
-
-def _corner_of_a_room(*, with_sensor: bool) -> Cloud:
-    """Three sides of a room of 3 m, a point each 10 cm."""
-    u, v = (grid.ravel() for grid in np.meshgrid(np.arange(0, 3, 0.1), np.arange(0, 3, 0.1)))
-    sides = [np.column_stack(columns) for columns in ((u, v, 0 * u), (u, 0 * u, v), (0 * u, u, v))]
-    points = np.concatenate(sides)
-    return Cloud(points, np.full_like(points, 1.5) if with_sensor else None)
 
 
 if __name__ == "__main__":

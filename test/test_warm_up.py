@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 
 def test_after_a_warm_up_nothing_is_left_to_compile(tmp_path):
     """Numba writes an index a kernel; a run on other data adds none in those of a reconstruction and a score."""
@@ -25,27 +27,33 @@ def test_after_a_warm_up_nothing_is_left_to_compile(tmp_path):
     assert {file.name for file in tmp_path.rglob("*.nbc")} == compiled
 
 
-def test_what_another_process_compiles_meanwhile_is_what_tracking_needs():
-    code = """
-from g2_recon.localization import pairing, pose_graph, smoothing, tracking_kernels, uncertainty
-from g2_recon.localization.warm_up import warm_up_matching, warm_up_smoothing, warm_up_tracking
+@pytest.mark.parametrize(
+    ("part", "halves", "whole", "some_of_one", "some_of_other"),
+    [
+        ("localization", ("smoothing", "matching"), "tracking", "solve_window", "match_on_latest"),
+        ("reconstruction", ("training", "joining"), "reconstruction", "_train", "_advance"),
+    ],
+)
+def test_two_processes_compile_all_that_is_needed(part, halves, whole, some_of_one, some_of_other):
+    code = f"""
+import sys
+from numba.core.dispatcher import Dispatcher
+from g2_recon.{part} import warm_up
 
 def compiled():
-    modules = pairing, pose_graph, smoothing, tracking_kernels, uncertainty
-    return {
-        (name, signature)
-        for module in modules
-        for name, kernel in vars(module).items()
-        for signature in getattr(kernel, "overloads", ())
-    }
+    modules = [module for name, module in list(sys.modules.items()) if name.startswith("g2_recon.{part}")]
+    kernels = [kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
+    return {{(kernel.py_func.__name__, signature) for kernel in kernels for signature in kernel.overloads}}
 
-warm_up_smoothing()
-warm_up_matching()
-halves = compiled()
-assert any(name == "solve_window" for name, _ in halves)
-assert any(name == "match_on_latest" for name, _ in halves)
-warm_up_tracking()
-print({name for name, _ in compiled() - halves})
+warm_up.warm_up_{halves[0]}()
+one = compiled()
+warm_up.warm_up_{halves[1]}()
+both = compiled()
+assert any(name == "{some_of_one}" for name, _ in one), one
+assert not any(name == "{some_of_other}" for name, _ in one), one
+assert any(name == "{some_of_other}" for name, _ in both), both
+warm_up.warm_up_{whole}()
+print({{name for name, _ in compiled() - both}})
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout == "set()\n", done

@@ -15,6 +15,7 @@ from threading import Lock
 
 # What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
 _LATE_IN_SMOOTHING = "localization.pose_graph:solve_window", "localization.likelihood:search"
+_LATE_IN_TRAINING = "reconstruction.flat_submaps:_fit_bends"
 _LATE = {
     "tracking": ("localization.smoothing:_lay_on_earlier", *_LATE_IN_SMOOTHING),
     "smoothing": _LATE_IN_SMOOTHING,
@@ -22,9 +23,11 @@ _LATE = {
     "registration": ("registration.placing:pose_at",),
     "reconstruction": (
         "reconstruction.normals:_fit_local_planes",
-        "reconstruction.flat_submaps:_train",
         "reconstruction.advancing_front:_advance",
+        "reconstruction.mesh_repair:_take_half_edges",
+        _LATE_IN_TRAINING,
     ),
+    "training": (_LATE_IN_TRAINING,),
 }
 
 
