@@ -93,8 +93,8 @@ def join_submaps(
 
     vertices: (V, 3) m; one without a face may be joined too. normals: (V, 3) unit normals of the surface there, towards
     the free side. faces: (F, 3) of all submaps, counterclockwise seen from the free side, each edge in at most two of
-    them and then in opposite directions. grid: the data. reach: m, longest side of a triangle. spacing: m, usual
-    distance of neighbors. support_distance: m, data must lie this near to all of a triangle.
+    them and then in opposite directions. grid: the data. reach: m, longest side of a triangle, 0: there are none.
+    spacing: m, usual distance of neighbors. support_distance: m, data must lie this near to all of a triangle.
 
     Together with the faces the result is again edge-manifold and consistently oriented, and no new face crosses another
     one. Two fans of faces may still share a vertex (see mesh_repair.split_pinched).
@@ -102,7 +102,7 @@ def join_submaps(
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64).reshape(-1, 3)
-    if not len(vertices):
+    if not len(vertices) or not reach > 0:
         return np.empty((0, 3), np.int64)
     _check_half_edges(faces, len(vertices))
     normals = np.ascontiguousarray(normals, dtype=np.float64)

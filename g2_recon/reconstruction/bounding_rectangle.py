@@ -84,14 +84,14 @@ def _area(x, y, cosine, sine):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True)
 def _quantiles(values, share):  # type: ignore[no-untyped-def]
     """The quantiles `share` and 1 - `share`, between two values in proportion."""
-    return _lower_quantile(values, share), -_lower_quantile(-values, share)
-
-
-@numba.njit(cache=True, nogil=True)
-def _lower_quantile(values, share):  # type: ignore[no-untyped-def]
-    place = share * (len(values) - 1)
+    last = len(values) - 1
+    place = share * last
     rank = int(place)
-    parted = np.partition(values, rank)
-    if rank == len(values) - 1:
-        return parted[rank]
-    return parted[rank] + (place - rank) * (parted[rank + 1 :].min() - parted[rank])
+    following = min(rank + 1, last)
+    # As above: Numba compiles each way of sorting for itself.
+    order = np.argsort(values)
+    low, high = values[order[rank]], values[order[last - rank]]
+    return (
+        low + (place - rank) * (values[order[following]] - low),
+        high - (place - rank) * (high - values[order[last - following]]),
+    )

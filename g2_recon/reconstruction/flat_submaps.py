@@ -200,11 +200,13 @@ def _lay_flat(group, points, order, begin, center, local, frames, low, high):  #
             x[i] = a * frame[0, 0] + b * frame[0, 1] + c * frame[0, 2]
             y[i] = a * frame[1, 0] + b * frame[1, 1] + c * frame[1, 2]
             z[i] = a * frame[2, 0] + b * frame[2, 1] + c * frame[2, 2]
-        cosine, sine, low[k], high[k] = bounding_rectangle(x, y, _STRAY)
+        cosine, sine, own_low, own_high = bounding_rectangle(x, y, _STRAY)
+        low[k, 0], low[k, 1], high[k, 0], high[k, 1] = own_low[0], own_low[1], own_high[0], own_high[1]
         for i in range(len(x)):
             x[i], y[i] = cosine * x[i] + sine * y[i], cosine * y[i] - sine * x[i]
-        frames[k, 0] = cosine * frame[0] + sine * frame[1]
-        frames[k, 1] = cosine * frame[1] - sine * frame[0]
+        for axis in range(3):
+            frames[k, 0, axis] = cosine * frame[0, axis] + sine * frame[1, axis]
+            frames[k, 1, axis] = cosine * frame[1, axis] - sine * frame[0, axis]
 
 
 def _sheets(kind: Kind, flat: _Flat, spacing: float) -> tuple[Float, _Sheets]:

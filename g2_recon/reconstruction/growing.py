@@ -421,8 +421,7 @@ def _changed_only(state: _State, config: ReconstructionConfig) -> tuple[Int, She
     some = _some_around(state, changed, config, workers)
     if some is None:
         return None
-    edge = usual_edge(state.neurons, np.concatenate([state.faces, state.neurons.cells]), config)
-    faces, new = _joined(state, some, config, edge=edge)
+    faces, new = _joined(state, some, config)
     sheet = sewn(changed, state.sheet, new, config.spacing, workers)
     return None if sheet is None else (np.concatenate([state.faces[~some.faces], faces]), sheet)
 
@@ -447,9 +446,7 @@ def _all_of(state: _State) -> _Some:
     return _Some(points, np.arange(len(state.neurons.places)), np.ones(len(state.faces), bool))
 
 
-def _joined(
-    state: _State, some: _Some, config: ReconstructionConfig, *, edge: float | None = None
-) -> tuple[Int, Sheet]:
+def _joined(state: _State, some: _Some, config: ReconstructionConfig) -> tuple[Int, Sheet]:
     """The faces (F, 3), and the sheet that they become, of some of what there is and of all new cells."""
     known, rows = state.neurons, some.neurons
     data = data_of(
@@ -470,6 +467,8 @@ def _joined(
         owner=number[state.points.owner[some.points]],
     )
     sound = sound_cells(neurons, data, number[state.faces[some.faces]])
+    # As of all, so that the front goes as far as it would there.
+    edge = usual_edge(known, np.concatenate([state.faces[~some.faces], rows[sound]]), config)
     joined = join(neurons, sound, data, config, edge=edge)
     # Elsewhere the front would only try again what it could not do before.
     where = state.loose[rows][joined.faces].any(axis=1) | (np.arange(len(joined.faces)) < len(sound))

@@ -54,6 +54,33 @@ def test_threads_share_their_memory_in_small_pages_once_it_is_to_be_saved(tmp_pa
         assert "THP_enabled:\\t0" in shared and "THP_enabled:\\t1" in apart
 
 
+GIVEN_BACK = """
+import sys
+import numpy as np
+from g2_recon.nodes.memory import memory_mb, save_memory
+
+if sys.argv[1] == "saving":
+    save_memory()
+# The C library by itself keeps what it was given once, from now on.
+large = np.ones(3_000_000)
+del large
+held = []
+for _ in range(20):
+    held += [np.ones(250_000), np.ones(100)]
+before = memory_mb()
+del held[::2]
+print(before - memory_mb())
+"""
+
+
+def test_large_arrays_are_given_back_whatever_lies_between_once_memory_is_to_be_saved():
+    saved, kept = (
+        float(subprocess.run([sys.executable, "-c", GIVEN_BACK, what], check=True, capture_output=True).stdout)
+        for what in ("saving", "")
+    )
+    assert saved > 35 > 10 > kept
+
+
 def test_a_process_knows_its_memory():
     before = memory_mb()
     held = b"x" * 50_000_000

@@ -159,6 +159,14 @@ def assert_sound(result, count):
     assert set(mesh.submap) | set(wire.submap) <= set(range(result.clusters))
 
 
+def test_with_a_theta_of_0_no_submaps_are_joined():
+    floor = np.random.default_rng(0).uniform(0, (6, 3, 0), (6000, 3))
+    apart, joined = (reconstruct(Cloud(floor), ReconstructionConfig(theta=theta)) for theta in (0.0, 1.8))
+    assert apart.clusters > 1 and len(apart.mesh.faces) > 100
+    assert not apart.wire_mesh.join.any()
+    assert joined.wire_mesh.join.any() and len(joined.mesh.faces) > len(apart.mesh.faces)
+
+
 @settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(
     shape=st.sampled_from(SHAPES),
