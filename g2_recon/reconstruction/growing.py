@@ -129,6 +129,13 @@ class _State:
         neurons = Neurons(nothing, nothing, nothing, _NONE, _NONE.astype(bool), _NO_FACES, _NONE)
         return _State({}, None, _blank(_NONE, _NONE, nothing), neurons, _NO_FACES, _NONE.astype(bool), nothing)
 
+    def forget_submaps(self) -> None:
+        """All submaps are gone, and all that was made of them; only names do not come again."""
+        nothing = _State.of_nothing()
+        self.neurons, self.faces, self.loose = nothing.neurons, nothing.faces, nothing.loose
+        self.gone, self.sheet = nothing.gone, nothing.sheet
+        self.sided, self.noise, self.noise_points = self.seen_from, nothing.noise, nothing.noise_points
+
     def cloud(self, rows: Int | None = None) -> Cloud:
         """The points `rows` (M,), or all, in the map frame."""
         part, row = self.points.part, self.points.row
@@ -290,10 +297,7 @@ def _submaps_of_all(state: _State, names: NDArray[np.int32], config: Reconstruct
     """Phases 0 to 2 as for a cloud that does not grow. names: (N,) of the submap that each point was of."""
     surface, order = _surface_of_all(state, config, progress)
     rows = np.arange(len(surface))
-    nothing = _State.of_nothing()
-    state.neurons, state.faces, state.loose = nothing.neurons, nothing.faces, nothing.loose
-    state.gone, state.sheet = nothing.gone, None
-    state.sided, state.noise, state.noise_points = state.seen_from, 0.0, 0
+    state.forget_submaps()
     state.points = _with_surface(state.points, rows, surface.neighbors)
     _add_submaps(state, rows, surface, names[order[: len(surface)]], config, progress)
 

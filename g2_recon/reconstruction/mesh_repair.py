@@ -486,14 +486,15 @@ def _next_half_edge(vertices, normals, half_edges, begin, edge):  # type: ignore
 @numba.njit(cache=True, nogil=True)
 def _turn(vertices, normal, vertex, one, other):  # type: ignore[no-untyped-def]
     """Angle counterclockwise around the normal from one neighbor of a vertex to another one, in (0, 2 pi]."""
-    u = vertices[one] - vertices[vertex]
-    v = vertices[other] - vertices[vertex]
+    x, y, z = vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2]
+    ux, uy, uz = vertices[one, 0] - x, vertices[one, 1] - y, vertices[one, 2] - z
+    vx, vy, vz = vertices[other, 0] - x, vertices[other, 1] - y, vertices[other, 2] - z
     length = max(math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-300)
-    n = normal / length
-    un = u[0] * n[0] + u[1] * n[1] + u[2] * n[2]
-    vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
-    cosine = u[0] * v[0] + u[1] * v[1] + u[2] * v[2] - un * vn
-    sine = n[0] * (u[1] * v[2] - u[2] * v[1]) + n[1] * (u[2] * v[0] - u[0] * v[2]) + n[2] * (u[0] * v[1] - u[1] * v[0])
+    nx, ny, nz = normal[0] / length, normal[1] / length, normal[2] / length
+    un = ux * nx + uy * ny + uz * nz
+    vn = vx * nx + vy * ny + vz * nz
+    cosine = ux * vx + uy * vy + uz * vz - un * vn
+    sine = nx * (uy * vz - uz * vy) + ny * (uz * vx - ux * vz) + nz * (ux * vy - uy * vx)
     angle = math.atan2(sine, cosine) % (2.0 * math.pi)
     return angle if angle > 0 else 2.0 * math.pi
 
