@@ -10,11 +10,10 @@ the points are concerned, all is done as for a cloud that does not grow, and wit
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,34 +22,22 @@ from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.mesh import Mesh
-from g2_recon.geometry.point_grid import point_grid
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.collected_cloud import Part
-from g2_recon.reconstruction.mesh_of_submaps import (
-    Neurons,
-    Sheet,
-    data_of,
-    finished,
-    join,
-    sound_cells,
-    usual_edge,
-    with_data,
-    without_scraps,
-)
-from g2_recon.reconstruction.normals import SECTORS
-from g2_recon.reconstruction.own_frame import OwnFrame, own_frame
+from g2_recon.reconstruction.growing_joins import join_changed, leave_out_submaps, leave_what_has_data
+from g2_recon.reconstruction.growing_state import Points, State, renumbered
+from g2_recon.reconstruction.mesh_of_submaps import Neurons, with_data
+from g2_recon.reconstruction.own_frame import own_frame
 from g2_recon.reconstruction.result import Reconstruction
-from g2_recon.reconstruction.sewing import MADE_ANEW, sewn
 from g2_recon.reconstruction.solid import (
     NORMAL_RADIUS,
     build_submaps,
-    check_covered,
     find_clusters,
     find_surface,
     reported,
     wire_of,
 )
-from g2_recon.reconstruction.support import are_near, supported
+from g2_recon.reconstruction.support import are_near
 from g2_recon.reconstruction.surface_points import SurfacePoints
 from g2_recon.reconstruction.usable_points import check_enough, near_sensor
 
@@ -62,100 +49,8 @@ Mask = NDArray[np.bool_]
 _COMPANY = 2.0
 # Where a larger share of the points is clustered anew, all are.
 _MOST_ANEW = 0.5
-# Where a larger share of the faces is joined anew, all are: it takes no longer.
-_MOST_JOINED = 0.5
 
 _NONE = np.empty(0, np.int64)
-_NO_FACES = np.empty((0, 3), np.int64)
-
-
-@dataclass(frozen=True, slots=True)
-class _Points:
-    """All points that may be surface.
-
-    part: (N,) number of the part of each, row: (N,) which of its points it is. own: (N, 3) m in a frame of their own.
-    on_surface: (N,) and neighbors: (N, 8) as phase 0 found them. owner: (N,) the neuron of each, -1 for none.
-    """
-
-    part: NDArray[np.int32]
-    row: NDArray[np.int32]
-    own: Float
-    on_surface: Mask
-    neighbors: NDArray[np.int32]
-    owner: NDArray[np.int32]
-
-    def __len__(self) -> int:
-        return len(self.own)
-
-    def take(self, rows: Int) -> _Points:
-        """The points `rows` (M,), each once; a neighbor that is not among them becomes the point itself."""
-        return _Points(
-            part=self.part[rows],
-            row=self.row[rows],
-            own=self.own[rows],
-            on_surface=self.on_surface[rows],
-            neighbors=_renumbered(self.neighbors, rows),
-            owner=self.owner[rows],
-        )
-
-
-@dataclass(slots=True)
-class _State:
-    """What there is after an update; a step of the next one changes it in place, so that nothing is there twice.
-
-    clouds: in the map frame, by number of the part. frame: that of the points, None before the first. neurons: of all
-    submaps, in which `submap` is the name of one; without cells and owners. faces: (F, 3) joined, before creases.
-    loose: (V,) neurons that are new or have lost a face since; gone: (M, 3) where some were that are no more. sheet:
-    the faces with creases and borders, None before there are any. sided: whether the normals of the submaps are towards
-    sensors. noise: m, of the largest surface so far, of `noise_points` points. names: how many were given.
-    """
-
-    clouds: dict[int, Cloud]
-    frame: OwnFrame | None
-    points: _Points
-    neurons: Neurons
-    faces: Int
-    loose: Mask
-    gone: Float
-    sheet: Sheet | None = None
-    sided: bool = True
-    noise: float = 0.0
-    noise_points: int = 0
-    names: int = 0
-
-    @staticmethod
-    def of_nothing() -> _State:
-        nothing = np.empty((0, 3))
-        neurons = Neurons(nothing, nothing, nothing, _NONE, _NONE.astype(bool), _NO_FACES, _NONE)
-        return _State({}, None, _blank(_NONE, _NONE, nothing), neurons, _NO_FACES, _NONE.astype(bool), nothing)
-
-    def forget_submaps(self) -> None:
-        """All submaps are gone, and all that was made of them; only names do not come again."""
-        nothing = _State.of_nothing()
-        self.neurons, self.faces, self.loose = nothing.neurons, nothing.faces, nothing.loose
-        self.gone, self.sheet = nothing.gone, nothing.sheet
-        self.sided, self.noise, self.noise_points = self.seen_from, nothing.noise, nothing.noise_points
-
-    def cloud(self, rows: Int | None = None) -> Cloud:
-        """The points `rows` (M,), or all, in the map frame."""
-        part, row = self.points.part, self.points.row
-        if rows is not None:
-            part, row = part[rows], row[rows]
-        seen = self.seen_from
-        points = np.empty((len(part), 3))
-        sensor = np.empty((len(part), 3)) if seen else None
-        order = np.argsort(part, kind="stable")
-        for group in np.split(order, np.flatnonzero(np.diff(part[order])) + 1) if len(order) else []:
-            cloud, which = self.clouds[int(part[group[0]])], row[group]
-            points[group] = cloud.points[which]
-            if sensor is not None and cloud.sensor is not None:
-                sensor[group] = cloud.sensor[which]
-        return Cloud(points, sensor)
-
-    @property
-    def seen_from(self) -> bool:
-        """Whether of all points it is known where they were seen from."""
-        return all(cloud.sensor is not None for cloud in self.clouds.values() if len(cloud))
 
 
 class GrowingReconstruction:
@@ -166,7 +61,7 @@ class GrowingReconstruction:
         self._config = config
         self._taken: dict[Hashable, tuple[int, Part]] = {}
         self._numbers = 0
-        self._state = _State.of_nothing()
+        self._state = State.of_nothing()
         self._result: Reconstruction | None = None
 
     def update(self, parts: Mapping[Hashable, Part], *, progress: Progress = silent) -> Reconstruction:
@@ -191,7 +86,7 @@ class GrowingReconstruction:
 
     def reset(self) -> None:
         """Forget all points and submaps: the next update begins from nothing."""
-        self._taken, self._state, self._result = {}, _State.of_nothing(), None
+        self._taken, self._state, self._result = {}, State.of_nothing(), None
 
     def _changes(self, parts: Mapping[Hashable, Part]) -> tuple[list[int], list[_New]]:
         """Numbers of the parts whose points are gone, and what is new."""
@@ -234,7 +129,7 @@ def _goes_on(before: Part, part: Part) -> bool:
     return np.array_equal(one.points, other.points) and np.array_equal(one.sensor, other.sensor)
 
 
-def _grow(state: _State, gone: list[int], new: list[_New], config: ReconstructionConfig, progress: Progress) -> Mesh:
+def _grow(state: State, gone: list[int], new: list[_New], config: ReconstructionConfig, progress: Progress) -> Mesh:
     """The mesh after parts went and others came; the state becomes that of then."""
     names, anew, stale = _take_in(state, gone, new, config)
     # Without sensors only the whole tells which side of a surface is the free one.
@@ -242,15 +137,15 @@ def _grow(state: _State, gone: list[int], new: list[_New], config: Reconstructio
     if not sided or np.count_nonzero(anew) >= _MOST_ANEW * len(anew):
         _submaps_of_all(state, names, config, progress)
     else:
-        _leave_out(state, stale)
+        leave_out_submaps(state, stale)
         if gone:
-            _leave_what_has_data(state, config)
+            leave_what_has_data(state, config)
         _submaps_of_some(state, anew, names, config, progress)
-    return _join(state, config, progress)
+    return join_changed(state, config, progress)
 
 
 def _take_in(
-    state: _State, gone: list[int], new: list[_New], config: ReconstructionConfig
+    state: State, gone: list[int], new: list[_New], config: ReconstructionConfig
 ) -> tuple[NDArray[np.int32], Mask, NDArray[np.int32]]:
     """Take points away and in.
 
@@ -261,10 +156,10 @@ def _take_in(
     cloud, part, row = _possible(new, config, workers)
     if state.frame is None:
         # Nothing is known of them: they get their own frame, and what goes with it, all together.
-        state.points = _blank(part, row, cloud.points)
+        state.points = Points.without_surface(part, row, cloud.points)
         return np.full(len(cloud), -1, np.int32), np.ones(len(cloud), bool), np.empty(0, np.int32)
-    added = _blank(part, row, state.frame.of(cloud, workers=workers).points)
-    names, own = _names(state), state.points.own
+    added = Points.without_surface(part, row, state.frame.of(cloud, workers=workers).points)
+    names, own = state.names_of_points(), state.points.own
     keep = ~np.isin(state.points.part, gone)
     changed = np.concatenate([own[~keep], added.own])
     near = are_near(own, changed, NORMAL_RADIUS * config.spacing, workers)
@@ -272,7 +167,7 @@ def _take_in(
     anew = np.isin(names, stale) | (near & (names < 0))
     if not keep.all():
         state.points = state.points.take(np.flatnonzero(keep))
-    state.points = _together(state.points, added)
+    state.points = state.points.together_with(added)
     nameless, all_of_them = np.full(len(added), -1, np.int32), np.ones(len(added), bool)
     return np.concatenate([names[keep], nameless]), np.concatenate([anew[keep], all_of_them]), stale
 
@@ -293,23 +188,23 @@ def _possible(
     return (cloud.select(~near), part[~near], row[~near]) if near.any() else (cloud, part, row)
 
 
-def _submaps_of_all(state: _State, names: NDArray[np.int32], config: ReconstructionConfig, progress: Progress) -> None:
+def _submaps_of_all(state: State, names: NDArray[np.int32], config: ReconstructionConfig, progress: Progress) -> None:
     """Phases 0 to 2 as for a cloud that does not grow. names: (N,) of the submap that each point was of."""
     surface, order = _surface_of_all(state, config, progress)
     rows = np.arange(len(surface))
     state.forget_submaps()
-    state.points = _with_surface(state.points, rows, surface.neighbors)
+    state.points = state.points.with_surface(rows, surface.neighbors)
     _add_submaps(state, rows, surface, names[order[: len(surface)]], config, progress)
 
 
-def _surface_of_all(state: _State, config: ReconstructionConfig, progress: Progress) -> tuple[SurfacePoints, Int]:
+def _surface_of_all(state: State, config: ReconstructionConfig, progress: Progress) -> tuple[SurfacePoints, Int]:
     """Phase 0: the surface of all points, which the state then has in the order (N,) of the surface."""
     workers = config.workers or os.cpu_count() or 1
     cloud = state.cloud()
     check_enough(cloud, len(cloud))
     part, row = state.points.part, state.points.row
     # Nothing else that was known of them counts.
-    state.points = _State.of_nothing().points
+    state.points = State.of_nothing().points
     state.frame = own_frame(cloud.points)
     cloud = state.frame.of(cloud, workers=workers)
     surface = reported(lambda: find_surface(cloud, config, workers), "normals", progress)
@@ -317,12 +212,14 @@ def _surface_of_all(state: _State, config: ReconstructionConfig, progress: Progr
     others = np.ones(len(cloud), bool)
     others[surface.kept] = False
     order = np.concatenate([surface.kept, np.flatnonzero(others)])
-    state.points = _blank(part[order], row[order], np.concatenate([surface.points, cloud.points[others]]))
+    state.points = Points.without_surface(
+        part[order], row[order], np.concatenate([surface.points, cloud.points[others]])
+    )
     return surface, order
 
 
 def _submaps_of_some(
-    state: _State, anew: Mask, names: NDArray[np.int32], config: ReconstructionConfig, progress: Progress
+    state: State, anew: Mask, names: NDArray[np.int32], config: ReconstructionConfig, progress: Progress
 ) -> None:
     """New submaps of the points `anew` (N,) beside those there are.
 
@@ -343,7 +240,7 @@ def _submaps_of_some(
         rows = rows[surface.kept]
         mine = anew[rows]
         links = rows[surface.neighbors[mine]].astype(np.int32)
-        state.points = _with_surface(state.points, rows[mine], links)
+        state.points = state.points.with_surface(rows[mine], links)
         if mine.any():
             _add_submaps(state, rows[mine], _part_of(surface, mine), names[rows[mine]], config, progress)
     except InputError:
@@ -352,7 +249,7 @@ def _submaps_of_some(
 
 
 def _add_submaps(
-    state: _State,
+    state: State,
     rows: Int,
     surface: SurfacePoints,
     names: NDArray[np.int32],
@@ -388,140 +285,6 @@ def _add_submaps(
     state.noise, state.noise_points, state.names = noise, noise_points, given
 
 
-class _Some(NamedTuple):
-    """Some of what there is. points: rows (n,) of those on a surface. neurons: (v,). faces: mask (F,)."""
-
-    points: Int
-    neurons: Int
-    faces: Mask
-
-
-def _join(state: _State, config: ReconstructionConfig, progress: Progress) -> Mesh:
-    """Phases 3 and 4: join the cells of new submaps to the faces there are and finish what is around; the mesh."""
-    check_covered(state.neurons.places)
-
-    def work() -> Mesh:
-        faces, sheet = _changed_only(state, config) or _joined(state, _all_of(state), config)
-        mesh = without_scraps(sheet, config)
-        check_covered(mesh.faces)
-        state.neurons, state.faces, state.sheet = replace(state.neurons, cells=_NO_FACES), faces, sheet
-        state.loose, state.gone = np.zeros(len(state.loose), bool), np.empty((0, 3))
-        return mesh
-
-    return reported(work, "joining", progress)
-
-
-def _changed_only(state: _State, config: ReconstructionConfig) -> tuple[Int, Sheet] | None:
-    """The faces and the sheet where only what is around changes is joined and finished; None where it is too much.
-
-    Creases, bends, borders and holes hang on what is within some cells.
-    """
-    workers = config.workers or os.cpu_count() or 1
-    changed = np.concatenate([state.neurons.places[state.loose], state.gone])
-    if state.sheet is None:
-        return None
-    if not len(changed):
-        return state.faces, state.sheet
-    some = _some_around(state, changed, config, workers)
-    if some is None:
-        return None
-    faces, new = _joined(state, some, config)
-    sheet = sewn(changed, state.sheet, new, config.spacing, workers)
-    return None if sheet is None else (np.concatenate([state.faces[~some.faces], faces]), sheet)
-
-
-def _some_around(state: _State, changed: Float, config: ReconstructionConfig, workers: int) -> _Some | None:
-    """What is around the places (M, 3) that have changed; None where that is most of it."""
-    distance = MADE_ANEW * config.spacing
-    neurons = are_near(state.neurons.places, changed, distance, workers)
-    faces: Mask = np.asarray(neurons[state.faces].any(axis=1))
-    if not faces.any() or faces.mean() > _MOST_JOINED:
-        return None
-    neurons[state.faces[faces]] = True
-    owner = state.points.owner
-    points = state.points.on_surface & np.where(owner >= 0, neurons[owner], False)
-    free = np.flatnonzero(state.points.on_surface & (owner < 0))
-    points[free] = are_near(state.points.own[free], changed, distance, workers)
-    return _Some(np.flatnonzero(points), np.flatnonzero(neurons), faces)
-
-
-def _all_of(state: _State) -> _Some:
-    points = np.flatnonzero(state.points.on_surface)
-    return _Some(points, np.arange(len(state.neurons.places)), np.ones(len(state.faces), bool))
-
-
-def _joined(state: _State, some: _Some, config: ReconstructionConfig) -> tuple[Int, Sheet]:
-    """The faces (F, 3), and the sheet that they become, of some of what there is and of all new cells."""
-    known, rows = state.neurons, some.neurons
-    data = data_of(
-        state.points.own[some.points],
-        _renumbered(state.points.neighbors, some.points),
-        config,
-        config.workers or os.cpu_count() or 1,
-    )
-    number = np.full(len(known.places) + 1, -1)
-    number[rows] = np.arange(len(rows))
-    neurons = Neurons(
-        places=known.places[rows],
-        normals=known.normals[rows],
-        centers=known.centers[rows],
-        submap=known.submap[rows],
-        bent=known.bent[rows],
-        cells=number[known.cells],
-        owner=number[state.points.owner[some.points]],
-    )
-    sound = sound_cells(neurons, data, number[state.faces[some.faces]])
-    # As of all, so that the front goes as far as it would there.
-    edge = usual_edge(known, np.concatenate([state.faces[~some.faces], rows[sound]]), config)
-    joined = join(neurons, sound, data, config, edge=edge)
-    # Elsewhere the front would only try again what it could not do before.
-    where = state.loose[rows][joined.faces].any(axis=1) | (np.arange(len(joined.faces)) < len(sound))
-    joined = Sheet(joined.vertices, joined.faces[where], joined.submap[where])
-    return rows[joined.faces], finished(joined, neurons, data, config)
-
-
-def _leave_what_has_data(state: _State, config: ReconstructionConfig) -> None:
-    """Take the faces away under which points are gone."""
-    workers = config.workers or os.cpu_count() or 1
-    near = config.support_distance or config.spacing
-    grid = point_grid(state.points.own, cell=near / math.sqrt(3))
-    stays = supported(state.neurons.places, state.faces, grid, near, workers)
-    state.loose = state.loose.copy()
-    state.loose[state.faces[~stays]] = True
-    state.faces = state.faces[stays]
-
-
-def _leave_out(state: _State, stale: NDArray[np.int32]) -> None:
-    """Take the submaps of these names away, and the faces that touch them."""
-    known = state.neurons
-    keep = ~np.isin(known.submap, stale)
-    number = np.where(keep, np.cumsum(keep) - 1, -1)
-    state.gone = np.concatenate([state.gone, known.places[~keep]])
-    state.neurons = Neurons(
-        places=known.places[keep],
-        normals=known.normals[keep],
-        centers=known.centers[keep],
-        submap=known.submap[keep],
-        bent=known.bent[keep],
-        cells=_NO_FACES,
-        owner=_NONE,
-    )
-    owner = state.points.owner
-    owner = np.where(owner >= 0, number[owner], -1).astype(np.int32)
-    state.points = replace(state.points, owner=owner)
-    stays = keep[state.faces].all(axis=1)
-    loose = np.zeros(len(keep), bool)
-    loose[state.faces[~stays]] = True
-    state.loose = loose[keep]
-    state.faces = number[state.faces[stays]]
-
-
-def _names(state: _State) -> NDArray[np.int32]:
-    """The name (N,) of the submap of each point, -1 for none."""
-    owner = state.points.owner
-    return np.where(owner >= 0, np.append(state.neurons.submap, -1)[owner], -1).astype(np.int32)
-
-
 def _inherited(label: Int, before: NDArray[np.int32], count: int, given: int) -> tuple[Int, int]:
     """Names (count,) of clusters, and how many have been given now.
 
@@ -541,37 +304,6 @@ def _inherited(label: Int, before: NDArray[np.int32], count: int, given: int) ->
     return names, given + len(new)
 
 
-def _blank(part: NDArray[Any], row: NDArray[Any], own: Float) -> _Points:
-    """Points of which nothing else is known yet."""
-    itself = np.arange(len(own), dtype=np.int32)
-    return _Points(
-        part=part.astype(np.int32),
-        row=row.astype(np.int32),
-        own=own,
-        on_surface=np.zeros(len(own), bool),
-        neighbors=np.repeat(itself[:, None], SECTORS, axis=1),
-        owner=np.full(len(own), -1, np.int32),
-    )
-
-
-def _together(one: _Points, other: _Points) -> _Points:
-    return _Points(
-        part=np.concatenate([one.part, other.part]),
-        row=np.concatenate([one.row, other.row]),
-        own=np.concatenate([one.own, other.own]),
-        on_surface=np.concatenate([one.on_surface, other.on_surface]),
-        neighbors=np.concatenate([one.neighbors, len(one) + other.neighbors]),
-        owner=np.concatenate([one.owner, other.owner]),
-    )
-
-
-def _with_surface(points: _Points, rows: Int, neighbors: NDArray[np.int32]) -> _Points:
-    """The points, of which `rows` (n,) lie on a surface and have these neighbors (n, 8)."""
-    on_surface, all_neighbors = points.on_surface.copy(), points.neighbors.copy()
-    on_surface[rows], all_neighbors[rows] = True, neighbors
-    return replace(points, on_surface=on_surface, neighbors=all_neighbors)
-
-
 def _part_of(surface: SurfacePoints, which: Mask) -> SurfacePoints:
     """The points of a surface that a mask names."""
     rows = np.flatnonzero(which)
@@ -580,21 +312,13 @@ def _part_of(surface: SurfacePoints, which: Mask) -> SurfacePoints:
         points=surface.points[rows],
         normals=surface.normals[rows],
         weights=surface.weights[rows],
-        neighbors=_renumbered(surface.neighbors, rows),
+        neighbors=renumbered(surface.neighbors, rows),
         cells=surface.cells[rows],
         kept=surface.kept[rows],
     )
 
 
-def _renumbered(neighbors: NDArray[np.int32], rows: Int) -> NDArray[np.int32]:
-    """The neighbors (M, 8) of the points `rows` (M,), numbered among them; the point itself for one that is not."""
-    number = np.full(len(neighbors), -1, np.int32)
-    number[rows] = np.arange(len(rows), dtype=np.int32)
-    among = number[neighbors[rows]]
-    return np.where(among >= 0, among, np.arange(len(rows), dtype=np.int32)[:, None])
-
-
-def _result(state: _State, mesh: Mesh, count: int) -> Reconstruction:
+def _result(state: State, mesh: Mesh, count: int) -> Reconstruction:
     """The result from a mesh in the frame of the points, of `count` points that came."""
     points, neurons = state.points, state.neurons
     owned = points.owner >= 0

@@ -15,7 +15,7 @@ from g2_recon.geometry.cloud import Cloud, Piece
 from g2_recon.geometry.edges import edges_of, half_edge_numbers
 from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.mesh import TrueSurface
-from g2_recon.reconstruction import growing as growing_module
+from g2_recon.reconstruction import growing_joins
 from g2_recon.reconstruction.collected_cloud import CollectedCloud, Part
 from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.reconstructor import reconstruct
@@ -111,19 +111,19 @@ def test_submaps_far_from_new_points_stay_as_they_are():
 
 
 def test_what_is_joined_around_changes_only_is_as_if_all_had_been_joined(monkeypatch):
-    changed_only, compared = growing_module._changed_only, []
+    changed_only, compared = growing_joins._changed_only, []
 
     def compare(state, config):
         some = changed_only(state, config)
         if some is not None and len(state.neurons.places[state.loose]):
-            faces, sheet = growing_module._joined(state, growing_module._all_of(state), config)
+            faces, sheet = growing_joins._joined(state, growing_joins._all_of(state), config)
             assert {*map(frozenset, faces.tolist())} == {*map(frozenset, some[0].tolist())}
             middles, others = (each.vertices[each.faces].mean(axis=1) for each in (sheet, some[1]))
             off = cKDTree(middles).query(others)[0]
             compared.append((len(middles) - len(others), np.count_nonzero(off > 0.001), off.max()))
         return some
 
-    monkeypatch.setattr(growing_module, "_changed_only", compare)
+    monkeypatch.setattr(growing_joins, "_changed_only", compare)
     # Pieces of 1 m, back and forth, so that holes are closed and borders moved in the middle, too.
     order = [0, 1, 2, 3, 4, 5, 8, 9, 10, 11, 12, 13, 14, 15, 6, 7]
     mesh = grown([corridor(at, at + 1, seed=at) for at in order]).mesh
