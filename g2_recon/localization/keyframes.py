@@ -72,13 +72,15 @@ class Keyframes:
         """The first of the latest keyframes, of which `since` costs nothing: the last 128 at least."""
         return self._first_normals
 
-    def since(self, first: int) -> Arrays:
-        """As `arrays`, of the keyframe `first` and those after it."""
+    def since(self, first: int, most: int | None = None) -> Arrays:
+        """As `arrays`, of the keyframe `first` and those after it, not more than `most`."""
         end, begin = self._count, self._first_normals
-        normals = self._normals[max(0, first - begin) : end - begin]
+        if most is not None:
+            end = min(end, first + most)
+        normals = self._normals[max(0, first - begin) : max(0, end - begin)]
         if first < begin:
-            earlier = normals_of_scans(self._points[first:begin], self._kinds[first:begin])
-            normals = np.concatenate([earlier, normals])
+            earlier = slice(first, min(begin, end))
+            normals = np.concatenate([normals_of_scans(self._points[earlier], self._kinds[earlier]), normals])
         rows = slice(first, end)
         return self._points[rows], normals, self._kinds[rows], self._firsts[rows], self._increments[rows]
 

@@ -345,21 +345,25 @@ class Localizer:
         begins = [local.first for local in self._loops.maps] + ([self._map_begins] if self._map_begins < count else [])
         return np.array(begins, np.int64), *self._loops.credible()
 
-    def growth(self, keyframes: int, scans: int) -> SessionGrowth:
-        """What has come since there were so many keyframes and scans; nothing waits for it and nothing is moved."""
-        points, normals, kinds, firsts, increments = self._keyframes.since(keyframes)
+    def growth(self, keyframes: int, scans: int, *, most: int | None = None) -> SessionGrowth:
+        """What has come since there were so many keyframes and scans; nothing waits for it and nothing is moved.
+
+        most: keyframes, of those that have come.
+        """
+        points, normals, kinds, firsts, increments = self._keyframes.since(keyframes, most)
+        end = keyframes + len(points)
         return SessionGrowth(
             first=keyframes,
             poses=self._keyframes.poses.copy(),
-            stamps=np.array(self._keyframe_stamps[keyframes:]),
+            stamps=np.array(self._keyframe_stamps[keyframes:end]),
             points=points.copy(),
             normals=normals.copy(),
             kinds=kinds.copy(),
             firsts=firsts.copy(),
             increments=increments.copy(),
-            ways=np.array(self._ways[keyframes:]),
-            wheel_steps=np.reshape(self._wheel_steps[3 * keyframes :], (-1, 3)),
-            broken=np.array(self._broken[keyframes:], bool),
+            ways=np.array(self._ways[keyframes:end]),
+            wheel_steps=np.reshape(self._wheel_steps[3 * keyframes : 3 * end], (-1, 3)),
+            broken=np.array(self._broken[keyframes:end], bool),
             graph=self._graph() if len(points) and not self._map_is_changing else None,
             scans=ScanPoses(
                 np.array(self._stamps[scans:]),
@@ -528,6 +532,11 @@ class Localizer:
     def keyframe_count(self) -> int:
         """How many scans were added to the map."""
         return len(self._keyframes)
+
+    @property
+    def latest_stamp(self) -> float:
+        """Of the latest scan, or of the latest keyframe of a session that no scan has come to yet, s."""
+        return max([self._stamp, *self._keyframe_stamps[-1:]])
 
     def keyframes(self) -> Trajectory:
         """T_map_base of the scans that were added to the map."""

@@ -104,7 +104,9 @@ class WholeMap:
     def __init__(self, keyframes: Keyframes) -> None:
         """Raises InputError where the keyframes lie so far apart that there is no memory to search between them."""
         self._keyframes = keyframes
-        points, kinds = keyframes.points, keyframes.kinds
+        # Where normals were not kept, they are made once.
+        self._arrays = keyframes.arrays
+        points, _, kinds, _, _ = self._arrays
         poses = keyframes.poses
         scans = []
         for k in range(len(keyframes)):
@@ -186,29 +188,27 @@ class WholeMap:
 
     def seen_from(self, pose: Float, scan: Beams, most: int) -> Int:
         """The keyframes, so many at most, that see the most of what a scan at a pose (3,) sees, most of it first."""
-        keyframes = self._keyframes
         found = most_overlap(
             pose, scan.points, scan.normals, scan.kinds, scan.first, scan.increment,
-            self._around(pose), keyframes.poses, *keyframes.arrays,
+            self._around(pose), self._keyframes.poses, *self._arrays,
         )  # fmt: skip
         return np.asarray(found[:most])
 
     def _refined(self, start: Float, scans: Keyframes, rows: Int, query: Float, wall: float) -> Place:
         """The place near a start (3,) where the scans fit best."""
-        keyframes = self._keyframes
         group = se2.relative(scans.poses[rows[-1]], scans.poses[rows])
         everywhere = np.ones(len(query), np.uint8)
         x, y = self._corner
         start = likelihood.climb(self._levels[0], query, everywhere, start, x, y, self._resolution, _TURN, _CLIMBS)
         start[2] = wrap(start[2])
         asked = self._around(start)
-        mine = tuple(array[rows] for array in scans.arrays)
+        mine = scans.of_rows(rows)
         references = np.full((len(rows), _REFERENCES), -1)
         for m in range(len(rows)):
             one = tuple(array[m] for array in mine)
-            chosen = most_overlap(compose(start, group[m]), *(*one, asked, keyframes.poses, *keyframes.arrays))
+            chosen = most_overlap(compose(start, group[m]), *(*one, asked, self._keyframes.poses, *self._arrays))
             references[m, : min(len(chosen), _REFERENCES)] = chosen[:_REFERENCES]
-        against_map = (*mine, references, keyframes.poses, *keyframes.arrays)
+        against_map = (*mine, references, self._keyframes.poses, *self._arrays)
         pose, hessian, inliers = lay_group(start, group, *against_map)
         # Where few lines hold it, it may have slid away: then it is held too little to be believed.
         if self._score(query, pose) < self._score(query, start) - _SLID_SCORE:

@@ -64,11 +64,11 @@ class KeyframeSender:
         if localizer is None or not (count := localizer.keyframe_count):
             return None
         if self._number is None:
-            whole = localizer.growth(0, sys.maxsize)
-            self._number = session_number(float(whole.stamps[0]), whole.points[0], whole.kinds[0])
+            begin = localizer.growth(0, sys.maxsize, most=1)
+            self._number = session_number(float(begin.stamps[0]), begin.points[0], begin.kinds[0])
         # With a keyframe at least, for the graph that comes with it.
         known = min(first, count - 1)
-        growth = localizer.growth(known, sys.maxsize)
+        growth = localizer.growth(known, sys.maxsize, most=_TOGETHER + 1)
         self._graph = self._graph if growth.graph is None else growth.graph
         revision = crc32(b"".join(np.ascontiguousarray(a).tobytes() for a in (growth.poses, *self._graph)))
         chosen = slice(first - known, first - known + _TOGETHER)
@@ -78,7 +78,7 @@ class KeyframeSender:
             number=self._number,
             count=count,
             revision=revision,
-            last_stamp=float(np.nanmax([growth.stamps[-1], growth.last.stamp])),
+            last_stamp=localizer.latest_stamp,
             poses=growth.poses if told else growth.poses[:0],
             first=min(first, count),
             **growth.of_rows(chosen),

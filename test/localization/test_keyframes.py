@@ -42,6 +42,8 @@ def test_normals_of_any_keyframes_are_those_that_they_were_added_with():
     # Of so many rows only: the others are made anew.
     assert keyframes.latest > 400
     for first in (0, 300, keyframes.latest, 690, 700):
+        for most in (0, 1, 50, 500):
+            np.testing.assert_array_equal(keyframes.since(first, most)[1], keyframes.since(first)[1][:most])
         points, normals, kinds, firsts, increments = keyframes.since(first)
         assert len(points) == len(normals) == len(kinds) == len(firsts) == len(increments) == 700 - first
         for row, each in zip(range(700 - first), added[first:], strict=True):

@@ -139,3 +139,19 @@ def test_scans_that_hang_on_keyframes_that_are_not_there_are_refused(grown):
     localizer, _ = grown
     with pytest.raises(InputError, match="not there"):
         localizer.remember(ScanPoses(np.ones(1), np.array([10**6]), np.zeros((1, 3))))
+
+
+def test_of_what_has_come_no_more_keyframes_are_told_than_asked_for(grown):
+    localizer, _ = grown
+    whole = localizer.growth(0, 0)
+    count = len(whole.stamps)
+    assert count > 8
+    for first, most in ((0, 1), (3, 2), (count - 1, 5), (count, 5), (2, count)):
+        some = localizer.growth(first, 0, most=most)
+        for name in OF_KEYFRAMES:
+            np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[first : first + most])
+        np.testing.assert_array_equal(some.poses, whole.poses)
+    assert localizer.latest_stamp == whole.last.stamp >= whole.stamps[-1]
+    resumed = Localizer(LocalizationConfig(), MOUNT)
+    resumed.resume(localizer.session())
+    assert resumed.latest_stamp == whole.stamps[-1]
