@@ -158,6 +158,7 @@ class StageNode(Node, Generic[Settings]):
         if self._held is None:
             if not left:
                 self._compiled_timer.cancel()
+                self.get_logger().info("all kernels are compiled")
             return
         if self._held_for in left:
             return
