@@ -43,9 +43,8 @@ _JUMP_S = 1.0
 # everything is missing.
 _PERIOD_S = 1.0
 _LOGGED_AFTER = 4
-# At first it is looked so often, and so many times, whether somebody listens: what comes before that is lost. Who has
-# been found may not have found this node yet, and would lose it too: so it is told so many times.
-_LOOK_S, _LOOKS, _TOLD = 0.1, 50, 10
+# At first it is looked so often, and so many times, whether somebody listens: what comes before that is lost.
+_LOOK_S, _LOOKS = 0.1, 50
 # So often what messages have left of memory is given back, s: it takes a tenth of a millisecond.
 _TRIM_PERIOD_S = 60.0
 # A stream that has been silent for so long has stopped.
@@ -77,7 +76,7 @@ class StageNode(Node, Generic[Settings]):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Not on ROS time: without a /clock, diagnostics are what one needs.
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._looks = self._heard = 0
+        self._looks = 0
         self._diagnostics_timer = self.create_timer(_LOOK_S, self._begin_diagnostics, clock=self.steady_clock)
         self.create_timer(_TRIM_PERIOD_S, give_back_memory, clock=self.steady_clock)
 
@@ -252,14 +251,12 @@ class StageNode(Node, Generic[Settings]):
     def _begin_diagnostics(self) -> None:
         """Publish diagnostics as soon as somebody has found the topic, and each second."""
         self._looks += 1
-        self._heard += self._diagnostics.get_subscription_count() > 0
-        if self._heard == 1 or self._looks % round(_PERIOD_S / _LOOK_S) == 0:
-            self._publish_diagnostics()
-        elif self._heard:
-            self._diagnostics.publish(self._told)
-        if self._heard == _TOLD or self._looks == _LOOKS:
+        heard = self._diagnostics.get_subscription_count() > 0
+        if heard or self._looks == _LOOKS:
             self.destroy_timer(self._diagnostics_timer)
             self._diagnostics_timer = self.create_timer(_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
+        if heard or self._looks % round(_PERIOD_S / _LOOK_S) == 0:
+            self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
         for source in self.inputs.values():
@@ -288,7 +285,6 @@ class StageNode(Node, Generic[Settings]):
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
-        self._told = message
         self._diagnostics.publish(message)
 
     def _waiting_for_kernels(self) -> str:
