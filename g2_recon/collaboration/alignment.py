@@ -257,8 +257,7 @@ def _judged(hypothesis: _Hypothesis, whole: WholeMap, fixed: Session, moving: Se
     for m, k in enumerate(rows):
         pose = se2.compose(hypothesis.transforms[nearest[k]], scans.poses[k])
         chosen = whole.seen_from(pose, _beams(moving, k), _WITNESSES)
-        one = tuple(array[k : k + 1] for array in scans.arrays)
-        against_map = (*one, chosen[None], fixed.poses, *fixed.beams)
+        against_map = (*scans.since(k, 1), chosen[None], fixed.poses, *fixed.beams)
         counts[m] = judge_group(pose, np.zeros((1, 3)), *against_map)
     seen = np.count_nonzero(moving.kinds[rows], axis=1)
     same, against, still, gone = counts.T

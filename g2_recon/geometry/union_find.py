@@ -36,6 +36,15 @@ def groups(parent):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
+def linked(one, other, size):  # type: ignore[no-untyped-def]
+    """The group (size,) of each member of what hangs together by links one (L,) to other (L,), and its first member."""
+    parent = np.arange(size)
+    for number in range(len(one)):
+        link(parent, one[number], other[number])
+    return groups(parent)
+
+
+@numba.njit(cache=True, nogil=True)
 def _root(parent, member):  # type: ignore[no-untyped-def]
     while parent[member] != member:
         parent[member] = parent[parent[member]]

@@ -65,8 +65,8 @@ class Collector:
         if np.count_nonzero(beams.kinds == SURFACE) < FEWEST_SURFACES:
             return False
         if len(self.keyframes) >= _MOST_KEYFRAMES:
-            arrays = tuple(array[-_KEPT_KEYFRAMES:] for array in self.keyframes.arrays)
-            self.keyframes.fill(self.keyframes.poses[-_KEPT_KEYFRAMES:], arrays)
+            first = len(self.keyframes) - _KEPT_KEYFRAMES
+            self.keyframes.fill(self.keyframes.poses[first:], self.keyframes.since(first))
         self.keyframes.add(beams, self.pose)
         self._unmatched = 0
         self._tracker.moved()

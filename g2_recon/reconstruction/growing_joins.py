@@ -16,9 +16,9 @@ from g2_recon.config import ReconstructionConfig
 from g2_recon.geometry.mesh import Mesh
 from g2_recon.geometry.point_grid import point_grid
 from g2_recon.progress import Progress
-from g2_recon.reconstruction.growing_state import NO_FACES, State, renumbered
+from g2_recon.reconstruction.growing_state import State, renumbered
 from g2_recon.reconstruction.mesh_of_submaps import (
-    Neurons,
+    NO_FACES,
     Sheet,
     data_of,
     finished,
@@ -67,10 +67,10 @@ def _changed_only(state: State, config: ReconstructionConfig) -> tuple[Int, Shee
 
     Creases, bends, borders and holes hang on what is within some cells.
     """
-    workers = config.workers or os.cpu_count() or 1
-    changed = np.concatenate([state.neurons.places[state.loose], state.gone])
     if state.sheet is None:
         return None
+    workers = config.workers or os.cpu_count() or 1
+    changed = np.concatenate([state.neurons.places[state.loose], state.gone])
     if not len(changed):
         return state.faces, state.sheet
     some = _some_around(state, changed, config, workers)
@@ -112,15 +112,7 @@ def _joined(state: State, some: _Some, config: ReconstructionConfig) -> tuple[In
     )
     number = np.full(len(known.places) + 1, -1)
     number[rows] = np.arange(len(rows))
-    neurons = Neurons(
-        places=known.places[rows],
-        normals=known.normals[rows],
-        centers=known.centers[rows],
-        submap=known.submap[rows],
-        bent=known.bent[rows],
-        cells=number[known.cells],
-        owner=number[state.points.owner[some.points]],
-    )
+    neurons = known.take(rows, cells=number[known.cells], owner=number[state.points.owner[some.points]])
     sound = sound_cells(neurons, data, number[state.faces[some.faces]])
     # As of all, so that the front goes as far as it would there.
     edge = usual_edge(known, np.concatenate([state.faces[~some.faces], rows[sound]]), config)
@@ -148,15 +140,7 @@ def leave_out_submaps(state: State, stale: NDArray[np.int32]) -> None:
     keep = ~np.isin(known.submap, stale)
     number = np.where(keep, np.cumsum(keep) - 1, -1)
     state.gone = np.concatenate([state.gone, known.places[~keep]])
-    state.neurons = Neurons(
-        places=known.places[keep],
-        normals=known.normals[keep],
-        centers=known.centers[keep],
-        submap=known.submap[keep],
-        bent=known.bent[keep],
-        cells=NO_FACES,
-        owner=np.empty(0, np.int64),
-    )
+    state.neurons = known.take(keep, cells=NO_FACES, owner=known.owner)
     owner = state.points.owner
     owner = np.where(owner >= 0, number[owner], -1).astype(np.int32)
     state.points = replace(state.points, owner=owner)

@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.cloud import Cloud
-from g2_recon.reconstruction.mesh_of_submaps import Neurons, Sheet
+from g2_recon.reconstruction.mesh_of_submaps import NO_FACES, Neurons, Sheet
 from g2_recon.reconstruction.normals import SECTORS
 from g2_recon.reconstruction.own_frame import OwnFrame
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-
-NO_FACES = np.empty((0, 3), np.int64)
 
 _NONE = np.empty(0, np.int64)
 

@@ -48,7 +48,7 @@ _GRAIN = 5e-6
 # A cell whose triangle turns away from the surface of its neurons by more than 73 deg is folded.
 _LEAST_AGREEMENT = 0.3
 
-_NO_FACES = np.empty((0, 3), np.int64)
+NO_FACES = np.empty((0, 3), np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +66,18 @@ class Neurons:
     bent: Mask
     cells: Int
     owner: Int
+
+    def take(self, rows: Int | Mask, *, cells: Int, owner: Int) -> Neurons:
+        """Some of them; cells and owner as these are numbered then."""
+        return Neurons(
+            places=self.places[rows],
+            normals=self.normals[rows],
+            centers=self.centers[rows],
+            submap=self.submap[rows],
+            bent=self.bent[rows],
+            cells=cells,
+            owner=owner,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +109,8 @@ def mesh_of_submaps(
     """The mesh of all submaps. owner: (N,) the neuron of each point of the surface, -1 for none."""
     data = data_of(surface.points, surface.neighbors, config, workers)
     neurons = with_data(submaps, owner)
-    joined = join(neurons, sound_cells(neurons, data), data, config)
+    sound = sound_cells(neurons, data)
+    joined = join(neurons, sound, data, config, edge=usual_edge(neurons, sound, config))
     return without_scraps(finished(joined, neurons, data, config), config)
 
 
@@ -132,7 +145,7 @@ def with_data(submaps: FlatSubmaps, owner: Int) -> Neurons:
     )
 
 
-def sound_cells(neurons: Neurons, data: Data, known: Int = _NO_FACES) -> Int:
+def sound_cells(neurons: Neurons, data: Data, known: Int = NO_FACES) -> Int:
     """The cells (C', 3) that are covered by data, that of their own submap, are not folded and cross no other.
 
     known: (K, 3) faces between the neurons that are sound already and come first in the result.
@@ -160,13 +173,12 @@ def usual_edge(neurons: Neurons, faces: Int, config: ReconstructionConfig) -> fl
     return float(np.median(np.linalg.norm(neurons.places[cells[:, 0]] - neurons.places[cells[:, 1]], axis=1)))
 
 
-def join(neurons: Neurons, sound: Int, data: Data, config: ReconstructionConfig, *, edge: float | None = None) -> Sheet:
+def join(neurons: Neurons, sound: Int, data: Data, config: ReconstructionConfig, *, edge: float) -> Sheet:
     """Phase 3: the strips between the submaps, and the small holes that the front left.
 
-    sound: (F, 3) the cells of the submaps, and strips that are there already. edge: m, of the cells of all submaps,
-    where these are some only.
+    sound: (F, 3) the cells of the submaps, and strips that are there already. edge: m, usual length in the cells of all
+    submaps, of which these may be some.
     """
-    edge = edge or usual_edge(neurons, sound, config)
     joins = join_submaps(
         neurons.places,
         neurons.normals,
@@ -233,8 +245,13 @@ def without_scraps(sheet: Sheet, config: ReconstructionConfig) -> Mesh:
     """The mesh of a sheet."""
     # A piece of less than a cell is no surface that one would see.
     large = large_pieces(sheet.vertices, sheet.faces, least_area=config.spacing**2)
-    used, number = np.unique(sheet.faces[large], return_inverse=True)
-    return Mesh(sheet.vertices[used], number.reshape(-1, 3).astype(np.int64), sheet.submap[large])
+    return Mesh(*without_loose_vertices(sheet.vertices, sheet.faces[large]), sheet.submap[large])
+
+
+def without_loose_vertices(vertices: Float, faces: Int) -> tuple[Float, Int]:
+    """The vertices (V', 3) that have a face, in their order, and the faces (F, 3) between them."""
+    used, number = np.unique(faces, return_inverse=True)
+    return vertices[used], number.reshape(-1, 3).astype(np.int64)
 
 
 def _filled(sheet: Sheet, data: Data, *, max_edges: int) -> Sheet:

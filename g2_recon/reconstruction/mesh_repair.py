@@ -14,7 +14,7 @@ from g2_recon.geometry.edges import edges_of, half_edge_numbers, is_open
 from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.point_grid import PointGrid
 from g2_recon.geometry.triangles import area_vector, area_vectors, unit, vertex_normals
-from g2_recon.geometry.union_find import groups, link
+from g2_recon.geometry.union_find import linked
 from g2_recon.reconstruction.support import supported
 
 Float = NDArray[np.float64]
@@ -81,7 +81,7 @@ def _fans(faces: Int, count: int) -> tuple[Int, Int]:
     # Half-edge h runs from corner h to after[h]; of two faces at an edge, the corners at the same vertex are linked.
     after = np.roll(np.arange(faces.size).reshape(-1, 3), -1, axis=1).ravel()
     same_way = faces.ravel()[one] == faces.ravel()[other]
-    fan, first_corner = _linked(
+    fan, first_corner = linked(
         np.concatenate([one, after[one]]),
         np.concatenate([np.where(same_way, other, after[other]), np.where(same_way, after[other], other)]),
         faces.size,
@@ -104,15 +104,6 @@ def _before_at_edge(edge):  # type: ignore[no-untyped-def]
         before[half_edge] = last[edge[half_edge]]
         last[edge[half_edge]] = half_edge
     return before
-
-
-@numba.njit(cache=True, nogil=True)
-def _linked(one, other, size):  # type: ignore[no-untyped-def]
-    """The group (size,) of each member of what hangs together by links one (L,) to other (L,), and its first member."""
-    parent = np.arange(size)
-    for number in range(len(one)):
-        link(parent, one[number], other[number])
-    return groups(parent)
 
 
 def _fan_middles(vertices: Float, faces: Int) -> Float:
@@ -170,7 +161,7 @@ def _linking(joined: Int, half_edges: Int, crossing: Int) -> Mask:
 def _between_pieces(vertices: Float, faces: Int) -> tuple[Int, Int]:
     """Triangles (T, 3) between border edges of two pieces at one vertex, and the two pieces (T, 2)."""
     one, other = _neighbors_at_edges(edges_of(faces, len(vertices))[1])
-    piece, _ = _linked(one // 3, other // 3, len(faces))
+    piece, _ = linked(one // 3, other // 3, len(faces))
     is_border = is_open(faces, len(vertices))
     border, own = _half_edges(faces)[is_border], piece[np.nonzero(is_border)[0]]
     order = np.argsort(border[:, 0], kind="stable")
@@ -312,7 +303,7 @@ def large_pieces(vertices: Float, faces: Int, *, least_area: float, least_faces:
     if not len(faces):
         return np.zeros(0, bool)
     one, other = _neighbors_at_edges(edges_of(faces, len(vertices))[1])
-    piece, _ = _linked(one // 3, other // 3, len(faces))
+    piece, _ = linked(one // 3, other // 3, len(faces))
     area = np.bincount(piece, 0.5 * np.linalg.norm(area_vectors(vertices, faces), axis=1))
     return np.asarray(((area >= least_area) & (np.bincount(piece) >= least_faces))[piece])
 

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from g2_recon.reconstruction.mesh_of_submaps import Sheet
+from g2_recon.geometry.union_find import linked
+from g2_recon.reconstruction.mesh_of_submaps import Sheet, without_loose_vertices
 from g2_recon.reconstruction.support import are_near
 
 Float = NDArray[np.float64]
@@ -55,12 +54,8 @@ def sewn(changed: Float, before: Sheet, new: Sheet, cell: float, workers: int) -
     gone, come = gone[~uncertain[piece[before.faces[gone, 0]]]], come[~uncertain[piece[faces[come, 0]]]]
     stays = np.ones(len(before.faces), bool)
     stays[gone] = False
-    used, corners = np.unique(np.concatenate([before.faces[stays], faces[come]]), return_inverse=True)
-    return Sheet(
-        vertices[used],
-        corners.reshape(-1, 3).astype(np.int64),
-        np.concatenate([submap[stays], new.submap[come]]),
-    )
+    mesh = without_loose_vertices(vertices, np.concatenate([before.faces[stays], faces[come]]))
+    return Sheet(*mesh, np.concatenate([submap[stays], new.submap[come]]))
 
 
 def _numbers(before: Sheet, new: Sheet, of_before: Mask, of_new: Mask, tolerance: float) -> tuple[Int, Int]:
@@ -108,5 +103,4 @@ def _first_corner_least(faces: Int) -> Int:
 def _hanging_together(faces: Int, count: int) -> Int:
     """The piece (count,) that each vertex is of: faces that share one are of one piece."""
     one, other = faces[:, [0, 0]].ravel(), faces[:, 1:].ravel()
-    graph = csr_array((np.ones(len(one), bool), (one, other)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1])
+    return np.asarray(linked(one, other, count)[0])
