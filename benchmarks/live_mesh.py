@@ -7,8 +7,8 @@
 FOLDER holds floor_rot.npz: `points` with `sensor` and the `scan` (N,) that each is of, and the truth beside them. The
 scans of it, and those of bags/first_floor, are sent to a reconstruct_node in a process of its own, one a message, as a
 registrar does; then a third of them once more from 5 cm higher up, as after a closed loop, and once more from where
-they were. A scan is shown once a message of `mesh` has its stamp or that of a later one. Meanwhile ~/pause is called
-again and again: what it takes to answer is how long the executor was held.
+they were. A scan is shown once a message of `mesh` has its stamp or that of a later one. Meanwhile another process
+calls ~/pause again and again: what it takes to answer is how long the executor was held.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Lock, Thread
 
@@ -56,6 +58,9 @@ _CORRECTION_M = 0.05
 # All that was sent is shown, or never will be.
 _LONGEST_S = 60.0
 _QUIET_S = 2.5
+# Between two calls of the service.
+_ASKING_S = 0.05
+_ANSWERED_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +107,6 @@ class Watched:
         qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._node.create_subscription(MarkerArray, "mesh", self._on_mesh, qos)
         self._clouds = self._node.create_publisher(PointCloud2, "cloud", reliable_qos(10_000))
-        self._pause = self._node.create_client(SetBool, "reconstruct_node/pause")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._thread = Thread(target=self._executor.spin, daemon=True)
@@ -112,7 +116,6 @@ class Watched:
         self._stamp = 0
         self.waiting: list[tuple[int, float]] = []
         self.delays: list[float] = []
-        self.answers: list[float] = []
         self.last_shown = 0.0
         self._process = subprocess.Popen(
             [sys.executable, "-m", "g2_recon.nodes.reconstruct_node", "--ros-args", "-p", f"rebuild:={rebuild}"]
@@ -121,10 +124,17 @@ class Watched:
             env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
             stderr=subprocess.DEVNULL,
         )
-        wait(lambda: self._clouds.get_subscription_count() > 0 and self._pause.service_is_ready())
+        self._asked, asks = get_context("spawn").Pipe()
+        self._asker = get_context("spawn").Process(target=_ask, args=(asks,), daemon=True)
+        self._asker.start()
+        wait(lambda: self._clouds.get_subscription_count() > 0)
+        while not self.answers():
+            time.sleep(0.1)
 
     def close(self) -> None:
         """Kill the node."""
+        self._asker.kill()
+        self._asker.join()
         self._process.kill()
         self._process.wait()
         self._executor.shutdown()
@@ -140,11 +150,10 @@ class Watched:
             self.waiting.append((self._stamp, time.monotonic()))
         self._clouds.publish(message)
 
-    def ask(self) -> None:
-        """Call a service that has nothing to do, and note how long the answer takes."""
-        began = time.monotonic()
-        future = self._pause.call_async(SetBool.Request(data=False))
-        future.add_done_callback(lambda _: self.answers.append(time.monotonic() - began))
+    def answers(self) -> list[float]:
+        """What a service that has nothing to do took to answer, s, since this was asked before."""
+        self._asked.send(None)
+        return list(self._asked.recv())
 
     def settle(self) -> None:
         """Wait until the mesh has shown all that was sent, and what is shown has stood still."""
@@ -192,6 +201,30 @@ class Watched:
         self.last_shown = now
 
 
+def _ask(asked: Connection) -> None:
+    """Call ~/pause again and again, and tell what the answers took."""
+    rclpy.init()
+    node = rclpy.create_node("asker")
+    client = node.create_client(SetBool, "reconstruct_node/pause")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    client.wait_for_service()
+    took: list[float] = []
+    while True:
+        began = time.monotonic()
+        future = client.call_async(SetBool.Request(data=False))
+        # Not spin_until_future_complete, which takes longer each time: it leaves something behind.
+        while not future.done() and time.monotonic() - began < _ANSWERED_S:
+            executor.spin_once(timeout_sec=0.1)
+        # A node that was just found may not have found who asks, and its answer is lost.
+        if future.done() or took:
+            took.append(time.monotonic() - began)
+        if asked.poll(_ASKING_S):
+            asked.recv()
+            asked.send(took)
+            took = []
+
+
 def wait(holds, seconds: float = 120.0) -> None:  # type: ignore[no-untyped-def]
     """Wait until something holds."""
     end = time.monotonic() + seconds
@@ -218,7 +251,7 @@ def measure(scene: Scene, rebuild: str, rate: float) -> list[dict[str, object]]:
     rows = []
 
     def note(what: str) -> None:
-        delays, answers = 1e3 * np.array(node.delays), 1e3 * np.array(node.answers)
+        delays, answers = 1e3 * np.array(node.delays), 1e3 * np.array(node.answers())
         score = scene.f5(*node.mesh())
         rows.append(
             {
@@ -229,6 +262,7 @@ def measure(scene: Scene, rebuild: str, rate: float) -> list[dict[str, object]]:
                 "95 %": f"{np.quantile(delays, 0.95):.0f}" if len(delays) else "",
                 "most": f"{delays.max():.0f}" if len(delays) else "",
                 "answers ms, 99 %": f"{np.quantile(answers, 0.99):.1f}" if len(answers) else "",
+                "most ": f"{answers.max():.1f}" if len(answers) else "",
                 "F5": f"{score:.2f}",
                 "offline": f"{offline_f5:.2f}",
                 "faces": len(node.mesh()[1]),
@@ -237,13 +271,11 @@ def measure(scene: Scene, rebuild: str, rate: float) -> list[dict[str, object]]:
             }
         )
         node.delays.clear()
-        node.answers.clear()
 
     with watched(rebuild) as node:
         began, used = time.monotonic(), node.processor_s()
         for number, cloud in enumerate(scene.pieces):
             node.send(cloud, number // _SCANS_A_PIECE)
-            node.ask()
             time.sleep(max(0.0, began + number / rate - time.monotonic()))
             if number == len(scene.pieces) * 9 // 10:
                 # What is shown from here on is at nine tenths of the size or more.
@@ -258,7 +290,6 @@ def measure(scene: Scene, rebuild: str, rate: float) -> list[dict[str, object]]:
                 up = np.array([0.0, 0.0, lift])
                 sensor = None if part.sensor is None else part.sensor + up
                 node.send(Cloud(part.points + up, sensor), number, revision)
-                node.ask()
             node.settle()
         note("a third of it moved and back")
         node.reconstruct()

@@ -22,7 +22,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import rclpy
@@ -90,15 +90,19 @@ class Watch:
         self.status[message.status[0].name] = {pair.key: pair.value for pair in message.status[0].values}
 
 
-def begin(name: str, *arguments: str) -> subprocess.Popen[bytes]:
-    """Start a node."""
+def begin(
+    name: str, *arguments: str, cache: str | None = None, log: IO[bytes] | None = None
+) -> subprocess.Popen[bytes]:
+    """Start a node. cache: the folder of its kernels, where it is not the usual one. log: where it writes it."""
     command = [sys.executable, "-m", f"g2_recon.nodes.{name}", "--ros-args"]
     return subprocess.Popen(
         [*command, "--params-file", str(ROOT / "config/g2.yaml"), "-p", "queue_depth:=20000", *arguments],
         cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+        env=os.environ
+        | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+        | ({} if cache is None else {"NUMBA_CACHE_DIR": cache}),
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stderr=log or subprocess.DEVNULL,
     )
 
 

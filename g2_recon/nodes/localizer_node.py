@@ -160,10 +160,10 @@ class LocalizerNode(StageNode[LocalizerParameters]):
             self.listen(Odometry, "odom", self._on_odometry, sensor_qos(depth))
         self.listen(LaserScan, "scan", self._on_scan, sensor_qos(depth))
 
-    def destroy_node(self) -> None:
+    def end(self) -> None:
         """End the thread beside first: it works with what the node has."""
         self._maps.close()
-        super().destroy_node()
+        super().end()
 
     def waiting_for(self) -> str:
         """See StageNode."""

@@ -408,10 +408,10 @@ class MapMergerNode(StageNode[MapMergerParameters]):
         self._begin()
         return "forgot the maps and clouds of all robots"
 
-    def destroy_node(self) -> None:
-        """See Node."""
+    def end(self) -> None:
+        """See StageNode."""
         self._merging.close()
-        super().destroy_node()
+        super().end()
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -88,11 +88,11 @@ class ReconstructNode(StageNode[ReconstructParameters]):
         self._beside = Thread(target=self._work_beside, name="reconstruct_node beside", daemon=True)
         self._beside.start()
 
-    def destroy_node(self) -> None:
+    def end(self) -> None:
         """End the thread beside first: it works with what the node has."""
         self._ending.set()
         self._beside.join()
-        super().destroy_node()
+        super().end()
 
     def waiting_for(self) -> str:
         """See StageNode."""

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import os
 import signal
@@ -29,6 +30,9 @@ from g2_recon.nodes import conversions
 from g2_recon.nodes.executor import NodeExecutor
 from g2_recon.nodes.memory import save_memory
 from g2_recon.switching import switch_soon
+
+# What DDS may take to end a process.
+_LONGEST_END_S = 10.0
 
 
 def _if_installed(name: str) -> Any | None:
@@ -130,11 +134,29 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None) -> in
         if executor is not None:
             executor.shutdown(timeout_sec=1.0)
         for node in nodes:
-            node.destroy_node()
-        # What rclpy does on a signal may shut down at the very same moment; one of the two comes too late then.
-        with suppress(RuntimeError):
-            rclpy.try_shutdown()
+            if hasattr(node, "end"):
+                node.end()
+        with _left_in_time():
+            for node in nodes:
+                node.destroy_node()
+            # What rclpy does on a signal may shut down at the very same moment; one of the two comes too late then.
+            with suppress(RuntimeError):
+                rclpy.try_shutdown()
     return 0
+
+
+@contextmanager
+def _left_in_time() -> Iterator[None]:
+    """Leave the process, with 1 and a traceback, where DDS does not end: nothing of ours is left to be done.
+
+    Fast DDS may wait for a callback of its own for ever, with a whole processor, and neither a thread of Python nor a
+    second Ctrl-C gets a turn then (https://github.com/eProsima/Fast-DDS/issues/6513).
+    """
+    faulthandler.dump_traceback_later(_LONGEST_END_S, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def yield_processor() -> None:

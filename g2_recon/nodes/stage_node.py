@@ -144,12 +144,16 @@ class StageNode(Node, Generic[Settings]):
         """The parts that are still being compiled beside."""
         return () if self._compiler is None else self._compiler.parts_left()
 
-    def destroy_node(self) -> None:
-        """End what goes on beside."""
+    def end(self) -> None:
+        """End what goes on beside; does nothing the second time."""
         if self._compiler is not None:
             self._compiler.close()
         if self._loading is not None:
             self._loading.join()
+
+    def destroy_node(self) -> None:
+        """See Node."""
+        self.end()
         super().destroy_node()
 
     def _look_at_compiler(self) -> None:

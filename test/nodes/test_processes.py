@@ -91,6 +91,39 @@ sys.exit(run(lambda: exec(INTERRUPT), None))
     assert (process.returncode, process.stderr) == (0, "")
 
 
+def test_a_process_leaves_when_dds_does_not_end(tmp_path):
+    """As Fast DDS does it at times: in a loop that keeps Python's other threads and its signals out."""
+    (tmp_path / "endless.py").write_text("""
+import ctypes, os, signal, sys
+from rclpy.node import Node
+from g2_recon.nodes import ros
+
+class Endless(Node):
+    def __init__(self):
+        super().__init__("endless")
+        self.create_timer(0.1, lambda: os.kill(os.getpid(), signal.SIGINT))
+
+    def end(self):
+        print("ended", flush=True)
+
+    def destroy_node(self):
+        ctypes.PyDLL(None).sleep(60)
+
+ros._LONGEST_END_S = 1.0
+sys.exit(ros.run(Endless, None))
+""")
+    process = subprocess.run(
+        [sys.executable, "-m", "endless"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert (process.returncode, process.stdout) == (1, "ended\n")
+    assert "in destroy_node" in process.stderr
+
+
 @pytest.mark.parametrize(
     ("node", "arguments", "told"),
     [

@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 The g2_recon developers
+# SPDX-License-Identifier: Apache-2.0
+"""How soon after its start a node is heard, and works when its kernels have to be compiled.
+
+    python benchmarks/start_up.py [--starts 10] [--first]
+
+A node is heard when another process has its first diagnostics. Fast DDS lets a process that was there before find a new
+one when it announces itself, every 3 s; so it is measured with one that does so every 0.2 s, too, and with a node of
+rclpy that does nothing but publish. With --first, it is started with no kernels on the disk, and works when it says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from nodes import NODES, ROOT, begin
+from rclpy.executors import SingleThreadedExecutor
+from report import Table, page, save
+
+OUT = ROOT / "out/benchmarks"
+
+# Between two announcements of the process that listens, s: the default of Fast DDS, and often.
+_PERIODS_S = (3.0, 0.2)
+_LONGEST_S = 300.0
+
+_BARE = "bare_node"
+_BARE_NODE = """
+import time
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+rclpy.init()
+publisher = rclpy.create_node("bare_node").create_publisher(DiagnosticArray, "/diagnostics", 10)
+while True:
+    publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name="/bare_node")]))
+    time.sleep(0.05)
+"""
+
+_PROFILE = """<?xml version="1.0" encoding="UTF-8" ?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <participant profile_name="listener" is_default_profile="true"><rtps><builtin><discovery_config>
+    <leaseAnnouncement><nanosec>{}</nanosec></leaseAnnouncement>
+  </discovery_config></builtin></rtps></participant>
+</profiles>
+"""
+
+
+class Listener:
+    """Who hears what nodes say of themselves."""
+
+    def __init__(self) -> None:
+        self._node = rclpy.create_node("listener")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
+        self._heard: set[str] = set()
+
+    def after_s(self, name: str) -> float:
+        """How long after its start a node is heard; it is killed then."""
+        self._heard.clear()
+        began = time.monotonic()
+        process = begin(name) if name != _BARE else subprocess.Popen([sys.executable, "-c", _BARE_NODE])
+        try:
+            while f"/{name}" not in self._heard:
+                if time.monotonic() - began > _LONGEST_S:
+                    raise TimeoutError(name)
+                self._executor.spin_once(timeout_sec=0.02)
+            return time.monotonic() - began
+        finally:
+            process.kill()
+            process.wait()
+            # What it said last, lest it be taken for the next one.
+            end = time.monotonic() + 0.5
+            while time.monotonic() < end:
+                self._executor.spin_once(timeout_sec=0.02)
+
+    def _hear(self, message: DiagnosticArray) -> None:
+        self._heard |= {status.name for status in message.status}
+
+
+def heard(period: float, starts: int) -> list[dict[str, Any]]:
+    """Rows of a table: each node, heard by a process that announces itself so often."""
+    with tempfile.TemporaryDirectory() as folder:
+        if period < 1:
+            profile = Path(folder) / "profile.xml"
+            profile.write_text(_PROFILE.format(round(1e9 * period)))
+            os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+        rclpy.init()
+        listener = Listener()
+        # Of this process only, not of the nodes.
+        os.environ.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+        rows = []
+        for name in (_BARE, *NODES):
+            took = [listener.after_s(name) for _ in range(starts)]
+            rows.append(
+                {
+                    "node": name,
+                    "announced every s": f"{period:g}",
+                    "heard after s, median": f"{np.median(took):.1f}",
+                    "90 %": f"{np.quantile(took, 0.9):.1f}",
+                    "most": f"{max(took):.1f}",
+                }
+            )
+        return rows
+
+
+def first_start(name: str) -> dict[str, Any]:
+    """A row of a table: a node that has no kernels yet."""
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "log"
+        began = time.monotonic()
+        with log.open("wb") as file:
+            process = begin(name, cache=folder, log=file)
+        try:
+            says, works = (_wait_for(log, words) - began for words in ("compiling", "kernels are compiled"))
+            return {"node": name, "says so after s": f"{says:.1f}", "works after s": f"{works:.0f}"}
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def _wait_for(log: Path, words: str) -> float:
+    """When a log holds some words."""
+    end = time.monotonic() + _LONGEST_S
+    while words not in log.read_text():
+        if time.monotonic() > end:
+            raise TimeoutError(words)
+        time.sleep(0.05)
+    return time.monotonic()
+
+
+def main() -> None:
+    """Measure; see above."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--starts", type=int, default=10, help="of each node and listener")
+    parser.add_argument("--first", action="store_true", help="start each without kernels on the disk, too")
+    given = parser.parse_args()
+    sections: dict[str, list[dict[str, Any]]] = {"": []}
+    for period in _PERIODS_S:
+        # A profile is read once in a process.
+        with get_context("spawn").Pool(1) as pool:
+            sections[""] += pool.apply(heard, (period, given.starts))
+    if given.first:
+        sections["The first start ever"] = [first_start(name) for name in NODES]
+    OUT.mkdir(parents=True, exist_ok=True)
+    note = f"{given.starts} starts of each. The load of the machine was {os.getloadavg()[1]:.1f} at the end."
+    save(OUT / "start_up.json", Table("Start-up", note, sections))
+    sys.stdout.write(page("", [OUT / "start_up.json"]))
+
+
+if __name__ == "__main__":
+    main()
