@@ -317,7 +317,7 @@ def main() -> None:
         f"The load of the machine was {os.getloadavg()[1]:.1f} at the end, that of this benchmark included."
     )
     save(OUT / "live_mesh.json", Table("The live mesh", note, {"": rows}))
-    whole = page(HEAD, [OUT / f"{name}.json" for name in ("live_mesh", "nodes", "killed", "soak")])
+    whole = page(HEAD, [OUT / f"{name}.json" for name in ("live_mesh", "nodes", "killed", "soak", "start_up")])
     sys.stdout.write(whole)
     (OUT / "live_benchmarks.md").write_text(whole)
 
@@ -330,6 +330,7 @@ Made by
     python benchmarks/live_mesh.py --clouds FOLDER
     python benchmarks/killed.py
     python benchmarks/soak.py
+    python benchmarks/start_up.py --first
 
 with the clouds of [the benchmarks of surfaces](benchmarks.md); this page is copied from `out/benchmarks/`.
 Times tell what a robot would see only on a quiet machine: with a load of 9 on 2 cores, all waits are several times too

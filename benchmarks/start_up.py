@@ -4,19 +4,23 @@
 
     python benchmarks/start_up.py [--starts 10] [--first]
 
-A node is heard when another process has its first diagnostics. Fast DDS lets a process that was there before find a new
-one when it announces itself, every 3 s; so it is measured with one that does so every 0.2 s, too, and with a node of
-rclpy that does nothing but publish. With --first, it is started with no kernels on the disk, and works when it says so.
+A node is heard when another process has its first diagnostics: alone, and while the others run. With several around,
+Fast DDS lets one that was there before find a new one at times only when it announces itself again, every 3 s; so it is
+measured with one that does so every 0.2 s, too, and with a node of rclpy that does nothing but publish. With --first, a
+node is started with no kernels on the disk, and works when it says so.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -65,8 +69,9 @@ class Listener:
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
         self._heard: set[str] = set()
 
-    def after_s(self, name: str) -> float:
-        """How long after its start a node is heard; it is killed then."""
+    @contextmanager
+    def hearing(self, name: str) -> Iterator[float]:
+        """A node that runs, and how long after its start it was heard; it is killed in the end."""
         self._heard.clear()
         began = time.monotonic()
         process = begin(name) if name != _BARE else subprocess.Popen([sys.executable, "-c", _BARE_NODE])
@@ -75,7 +80,7 @@ class Listener:
                 if time.monotonic() - began > _LONGEST_S:
                     raise TimeoutError(name)
                 self._executor.spin_once(timeout_sec=0.02)
-            return time.monotonic() - began
+            yield time.monotonic() - began
         finally:
             process.kill()
             process.wait()
@@ -83,6 +88,11 @@ class Listener:
             end = time.monotonic() + 0.5
             while time.monotonic() < end:
                 self._executor.spin_once(timeout_sec=0.02)
+
+    def after_s(self, name: str) -> float:
+        """How long after its start a node is heard."""
+        with self.hearing(name) as took:
+            return took
 
     def _hear(self, message: DiagnosticArray) -> None:
         self._heard |= {status.name for status in message.status}
@@ -100,12 +110,17 @@ def heard(period: float, starts: int) -> list[dict[str, Any]]:
         # Of this process only, not of the nodes.
         os.environ.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
         rows = []
-        for name in (_BARE, *NODES):
-            took = [listener.after_s(name) for _ in range(starts)]
+        for name, others in itertools.product((_BARE, *NODES), (False, True)):
+            with ExitStack() as running:
+                beside = [other for other in NODES if other != name] if others else []
+                for other in beside:
+                    running.enter_context(listener.hearing(other))
+                took = [listener.after_s(name) for _ in range(starts)]
             rows.append(
                 {
                     "node": name,
                     "announced every s": f"{period:g}",
+                    "beside it": len(beside),
                     "heard after s, median": f"{np.median(took):.1f}",
                     "90 %": f"{np.quantile(took, 0.9):.1f}",
                     "most": f"{max(took):.1f}",
