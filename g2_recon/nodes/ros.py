@@ -152,7 +152,8 @@ def _left_in_time() -> Iterator[None]:
     Fast DDS may wait for a callback of its own for ever, with a whole processor, and neither a thread of Python nor a
     second Ctrl-C gets a turn then (https://github.com/eProsima/Fast-DDS/issues/6513).
     """
-    faulthandler.dump_traceback_later(_LONGEST_END_S, exit=True)
+    # Not sys.stderr, which a process without one does not have.
+    faulthandler.dump_traceback_later(_LONGEST_END_S, exit=True, file=2)
     try:
         yield
     finally:
