@@ -127,6 +127,8 @@ class Watched:
         self._asked, asks = get_context("spawn").Pipe()
         self._asker = get_context("spawn").Process(target=_ask, args=(asks,), daemon=True)
         self._asker.start()
+        # Lest one wait for an asker that is gone.
+        asks.close()
         wait(lambda: self._clouds.get_subscription_count() > 0)
         while not self.answers():
             time.sleep(0.1)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -37,6 +38,7 @@ OUT = ROOT / "out/benchmarks"
 # Between two announcements of the process that listens, s: the default of Fast DDS, and often.
 _PERIODS_S = (3.0, 0.2)
 _LONGEST_S = 300.0
+_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 _BARE = "bare_node"
 _BARE_NODE = """
@@ -71,10 +73,10 @@ class Listener:
 
     @contextmanager
     def hearing(self, name: str) -> Iterator[float]:
-        """A node that runs, and how long after its start it was heard; it is killed in the end."""
+        """A node that runs, and how long after its start it was heard."""
         self._heard.clear()
         began = time.monotonic()
-        process = begin(name) if name != _BARE else subprocess.Popen([sys.executable, "-c", _BARE_NODE])
+        process = begin(name) if name != _BARE else begin_bare()
         try:
             while f"/{name}" not in self._heard:
                 if time.monotonic() - began > _LONGEST_S:
@@ -82,8 +84,9 @@ class Listener:
                 self._executor.spin_once(timeout_sec=0.02)
             yield time.monotonic() - began
         finally:
-            process.kill()
-            process.wait()
+            # Not killed: who is killed counts as there for another 20 s.
+            process.send_signal(signal.SIGINT)
+            process.wait(_LONGEST_S)
             # What it said last, lest it be taken for the next one.
             end = time.monotonic() + 0.5
             while time.monotonic() < end:
@@ -98,17 +101,23 @@ class Listener:
         self._heard |= {status.name for status in message.status}
 
 
+def begin_bare() -> subprocess.Popen[bytes]:
+    """Start a node that does nothing but publish."""
+    return subprocess.Popen([sys.executable, "-c", _BARE_NODE], stderr=subprocess.DEVNULL)
+
+
 def heard(period: float, starts: int) -> list[dict[str, Any]]:
     """Rows of a table: each node, heard by a process that announces itself so often."""
     with tempfile.TemporaryDirectory() as folder:
+        os.environ.pop(_PROFILES, None)
         if period < 1:
             profile = Path(folder) / "profile.xml"
             profile.write_text(_PROFILE.format(round(1e9 * period)))
-            os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+            os.environ[_PROFILES] = str(profile)
         rclpy.init()
         listener = Listener()
         # Of this process only, not of the nodes.
-        os.environ.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+        os.environ.pop(_PROFILES, None)
         rows = []
         for name, others in itertools.product((_BARE, *NODES), (False, True)):
             with ExitStack() as running:

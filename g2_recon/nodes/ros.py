@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from types import FrameType
 from typing import Any, NoReturn
@@ -69,7 +69,7 @@ def run_together(create: Sequence[Callable[[], Node]], args: Sequence[str] | Non
     """Spin nodes until they are told to stop, or the future `finished` of one that has it is done; the exit code.
 
     0 after SIGINT, SIGTERM, a shutdown or a finished node; 1, with one line, where a node cannot start because of what
-    it was given.
+    it was given, and with a traceback where DDS does not end, which leaves the process at once.
     """
     with _interrupted_once():
         return _run(create, args)
@@ -131,31 +131,42 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None) -> in
         if rclpy.ok():
             raise
     finally:
-        if executor is not None:
-            executor.shutdown(timeout_sec=1.0)
-        for node in nodes:
-            if hasattr(node, "end"):
-                node.end()
-        with _left_in_time():
-            for node in nodes:
-                node.destroy_node()
-            # What rclpy does on a signal may shut down at the very same moment; one of the two comes too late then.
-            with suppress(RuntimeError):
-                rclpy.try_shutdown()
+        _end(nodes, executor)
     return 0
 
 
+def _end(nodes: Sequence[Node], executor: NodeExecutor | None) -> None:
+    """End all there is, whatever fails of it; what is beside a node first, which works with what DDS has."""
+    # SIGTERM or a fault may have begun it; SIGINT must not break it either.
+    signal.signal(signal.SIGINT, lambda number, frame: None)
+    with _left_in_time() as in_time, ExitStack() as last_first:
+        last_first.callback(_shut_down)
+        for node in nodes:
+            last_first.callback(node.destroy_node)
+        last_first.callback(in_time)
+        for node in nodes:
+            if hasattr(node, "end"):
+                last_first.callback(node.end)
+        if executor is not None:
+            last_first.callback(executor.shutdown, timeout_sec=1.0)
+
+
+def _shut_down() -> None:
+    # What rclpy does on a signal may shut down at the very same moment; one of the two comes too late then.
+    with suppress(RuntimeError):
+        rclpy.try_shutdown()
+
+
 @contextmanager
-def _left_in_time() -> Iterator[None]:
-    """Leave the process, with 1 and a traceback, where DDS does not end: nothing of ours is left to be done.
+def _left_in_time() -> Iterator[Callable[[], None]]:
+    """Leave the process, with 1 and a traceback, where DDS does not end after the function has been called.
 
     Fast DDS may wait for a callback of its own for ever, with a whole processor, and neither a thread of Python nor a
     second Ctrl-C gets a turn then (https://github.com/eProsima/Fast-DDS/issues/6513).
     """
-    # Not sys.stderr, which a process without one does not have.
-    faulthandler.dump_traceback_later(_LONGEST_END_S, exit=True, file=2)
     try:
-        yield
+        # Not sys.stderr, which a process without one does not have.
+        yield lambda: faulthandler.dump_traceback_later(_LONGEST_END_S, exit=True, file=2)
     finally:
         faulthandler.cancel_dump_traceback_later()
 

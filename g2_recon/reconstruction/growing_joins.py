@@ -140,7 +140,7 @@ def leave_out_submaps(state: State, stale: NDArray[np.int32]) -> None:
     keep = ~np.isin(known.submap, stale)
     number = np.where(keep, np.cumsum(keep) - 1, -1)
     state.gone = np.concatenate([state.gone, known.places[~keep]])
-    state.neurons = known.take(keep, cells=NO_FACES, owner=known.owner)
+    state.neurons = known.take(keep, cells=NO_FACES, owner=np.empty(0, np.int64))
     owner = state.points.owner
     owner = np.where(owner >= 0, number[owner], -1).astype(np.int32)
     state.points = replace(state.points, owner=owner)
