@@ -28,12 +28,8 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from nodes import NODES, ROOT, begin
-from rclpy.executors import SingleThreadedExecutor
+from nodes import NODES, OUT, Watch, begin
 from report import Table, page, save
-
-OUT = ROOT / "out/benchmarks"
 
 # Between two announcements of the process that listens, s: the default of Fast DDS, and often.
 _PERIODS_S = (3.0, 0.2)
@@ -61,44 +57,28 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8" ?>
 """
 
 
-class Listener:
-    """Who hears what nodes say of themselves."""
+@contextmanager
+def hearing(watch: Watch, name: str) -> Iterator[float]:
+    """A node that runs, and how long after its start it was heard."""
+    watch.status.clear()
+    began = time.monotonic()
+    process = begin(name) if name != _BARE else begin_bare()
+    try:
+        watch.spin_until(lambda: f"/{name}" in watch.status, _LONGEST_S)
+        yield time.monotonic() - began
+    finally:
+        # Not killed: who is killed counts as there for another 20 s.
+        process.send_signal(signal.SIGINT)
+        process.wait(_LONGEST_S)
+        # What it said last, lest it be taken for the next one.
+        end = time.monotonic() + 0.5
+        watch.spin_until(lambda: time.monotonic() > end)
 
-    def __init__(self) -> None:
-        self._node = rclpy.create_node("listener")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
-        self._heard: set[str] = set()
 
-    @contextmanager
-    def hearing(self, name: str) -> Iterator[float]:
-        """A node that runs, and how long after its start it was heard."""
-        self._heard.clear()
-        began = time.monotonic()
-        process = begin(name) if name != _BARE else begin_bare()
-        try:
-            while f"/{name}" not in self._heard:
-                if time.monotonic() - began > _LONGEST_S:
-                    raise TimeoutError(name)
-                self._executor.spin_once(timeout_sec=0.02)
-            yield time.monotonic() - began
-        finally:
-            # Not killed: who is killed counts as there for another 20 s.
-            process.send_signal(signal.SIGINT)
-            process.wait(_LONGEST_S)
-            # What it said last, lest it be taken for the next one.
-            end = time.monotonic() + 0.5
-            while time.monotonic() < end:
-                self._executor.spin_once(timeout_sec=0.02)
-
-    def after_s(self, name: str) -> float:
-        """How long after its start a node is heard."""
-        with self.hearing(name) as took:
-            return took
-
-    def _hear(self, message: DiagnosticArray) -> None:
-        self._heard |= {status.name for status in message.status}
+def heard_after_s(watch: Watch, name: str) -> float:
+    """How long after its start a node is heard."""
+    with hearing(watch, name) as took:
+        return took
 
 
 def begin_bare() -> subprocess.Popen[bytes]:
@@ -115,7 +95,7 @@ def heard(period: float, starts: int) -> list[dict[str, Any]]:
             profile.write_text(_PROFILE.format(round(1e9 * period)))
             os.environ[_PROFILES] = str(profile)
         rclpy.init()
-        listener = Listener()
+        watch = Watch()
         # Of this process only, not of the nodes.
         os.environ.pop(_PROFILES, None)
         rows = []
@@ -123,8 +103,8 @@ def heard(period: float, starts: int) -> list[dict[str, Any]]:
             with ExitStack() as running:
                 beside = [other for other in NODES if other != name] if others else []
                 for other in beside:
-                    running.enter_context(listener.hearing(other))
-                took = [listener.after_s(name) for _ in range(starts)]
+                    running.enter_context(hearing(watch, other))
+                took = [heard_after_s(watch, name) for _ in range(starts)]
             rows.append(
                 {
                     "node": name,

@@ -136,14 +136,21 @@ def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None) -> in
 
 
 def _end(nodes: Sequence[Node], executor: NodeExecutor | None) -> None:
-    """End all there is, whatever fails of it; what is beside a node first, which works with what DDS has."""
+    """End all there is, whatever fails of it; what is beside a node first, which works with what DDS has.
+
+    Fast DDS may wait for a callback of its own for ever, with a whole processor, and neither a thread of Python nor a
+    second Ctrl-C gets a turn then (https://github.com/eProsima/Fast-DDS/issues/6513). The process leaves with 1 and a
+    traceback where it takes too long.
+    """
     # SIGTERM or a fault may have begun it; SIGINT must not break it either.
     signal.signal(signal.SIGINT, lambda number, frame: None)
-    with _left_in_time() as in_time, ExitStack() as last_first:
+    with ExitStack() as last_first:
+        last_first.callback(faulthandler.cancel_dump_traceback_later)
         last_first.callback(_shut_down)
         for node in nodes:
             last_first.callback(node.destroy_node)
-        last_first.callback(in_time)
+        # Not sys.stderr, which a process without one does not have.
+        last_first.callback(faulthandler.dump_traceback_later, _LONGEST_END_S, exit=True, file=2)
         for node in nodes:
             if hasattr(node, "end"):
                 last_first.callback(node.end)
@@ -155,20 +162,6 @@ def _shut_down() -> None:
     # What rclpy does on a signal may shut down at the very same moment; one of the two comes too late then.
     with suppress(RuntimeError):
         rclpy.try_shutdown()
-
-
-@contextmanager
-def _left_in_time() -> Iterator[Callable[[], None]]:
-    """Leave the process, with 1 and a traceback, where DDS does not end after the function has been called.
-
-    Fast DDS may wait for a callback of its own for ever, with a whole processor, and neither a thread of Python nor a
-    second Ctrl-C gets a turn then (https://github.com/eProsima/Fast-DDS/issues/6513).
-    """
-    try:
-        # Not sys.stderr, which a process without one does not have.
-        yield lambda: faulthandler.dump_traceback_later(_LONGEST_END_S, exit=True, file=2)
-    finally:
-        faulthandler.cancel_dump_traceback_later()
 
 
 def yield_processor() -> None:

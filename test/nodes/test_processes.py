@@ -54,6 +54,18 @@ def long_bag(tmp_path) -> Path:
     return tmp_path / "bag"
 
 
+def run_module(path, *, timeout):
+    """A Python file, run as a module until it ends."""
+    return subprocess.run(
+        [sys.executable, "-m", path.stem],
+        cwd=path.parent,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+    )
+
+
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_that_is_told_to_stop_ends_with_0_and_without_a_traceback(ros, start, long_bag, node, stop):
@@ -78,14 +90,7 @@ INTERRUPT = "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.
 sys.exit(run(lambda: exec(INTERRUPT), None))
 """)
     try:
-        process = subprocess.run(
-            [sys.executable, "-m", "interrupted"],
-            cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
-            capture_output=True,
-            text=True,
-            timeout=20,
-        )
+        process = run_module(tmp_path / "interrupted.py", timeout=20)
     except subprocess.TimeoutExpired as late:
         pytest.fail(f"it did not end; where it was after 15 s:\n{late.stderr}")
     assert (process.returncode, process.stderr) == (0, "")
@@ -112,14 +117,7 @@ class Endless(Node):
 ros._LONGEST_END_S = 1.0
 sys.exit(ros.run(Endless, None))
 """)
-    process = subprocess.run(
-        [sys.executable, "-m", "endless"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
+    process = run_module(tmp_path / "endless.py", timeout=30)
     assert (process.returncode, process.stdout) == (1, "ended\n")
     assert "in destroy_node" in process.stderr
 
