@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import struct
 import subprocess
 import sys
 import time
@@ -31,7 +32,8 @@ import rclpy
 from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from report import Table, page, save
+from rclpy.serialization import deserialize_message
+from report import Row, Table, page, save
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
@@ -105,14 +107,15 @@ class Watched:
     def __init__(self, rebuild: str) -> None:
         self._node = rclpy.create_node("benchmark")
         qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._node.create_subscription(MarkerArray, "mesh", self._on_mesh, qos)
+        # As bytes: to make objects of a whole mesh takes longer than what is to be measured.
+        self._node.create_subscription(MarkerArray, "mesh", self._on_mesh, qos, raw=True)
         self._clouds = self._node.create_publisher(PointCloud2, "cloud", reliable_qos(10_000))
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._thread = Thread(target=self._executor.spin, daemon=True)
         self._thread.start()
         self._taking = Lock()
-        self.corners: dict[tuple[str, int], NDArray[np.float64]] = {}
+        self.messages: list[bytes] = []
         self._stamp = 0
         self.waiting: list[tuple[int, float]] = []
         self.delays: list[float] = []
@@ -170,37 +173,70 @@ class Watched:
         wait(future.done, _LONGEST_S)
         return str(future.result().message)
 
-    def mesh(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Vertices and faces of what is shown; corners at one place are one vertex."""
-        with self._taking:
-            corners = np.concatenate(list(self.corners.values()))
-        vertices, number = np.unique(corners, axis=0, return_inverse=True)
-        return vertices, number.reshape(-1, 3)
+    def begin(self) -> None:
+        """Count what the node uses from here on."""
+        self._began, self._used = time.monotonic(), self._processor_s()
 
-    def memory_mb(self) -> float:
+    def figures(self) -> Row:
+        """What a row says of the node; delays are those since this was asked before."""
+        with self._taking:
+            delays, self.delays = 1e3 * np.array(self.delays), []
+        answers = 1e3 * np.array(self.answers())
+        return {
+            "shown after ms, median": f"{np.median(delays):.0f}" if len(delays) else "",
+            "95 %": f"{np.quantile(delays, 0.95):.0f}" if len(delays) else "",
+            "most": f"{delays.max():.0f}" if len(delays) else "",
+            "answers ms, 99 %": f"{np.quantile(answers, 0.99):.1f}" if len(answers) else "",
+            "answers, most": f"{answers.max():.1f}" if len(answers) else "",
+            "cores": f"{(self._processor_s() - self._used) / (time.monotonic() - self._began):.2f}",
+            "MB": f"{self._memory_mb():.0f}",
+        }
+
+    def _memory_mb(self) -> float:
         """Of the node, now."""
         status = Path(f"/proc/{self._process.pid}/status").read_text()
         return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
 
-    def processor_s(self) -> float:
+    def _processor_s(self) -> float:
         """What the node used so far."""
         ticks = Path(f"/proc/{self._process.pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(ticks[11]) + int(ticks[12])) / os.sysconf("SC_CLK_TCK")
 
-    def _on_mesh(self, message: MarkerArray) -> None:
+    def _on_mesh(self, message: bytes) -> None:
         now = time.monotonic()
-        stamps = [conversions.stamp_seconds(marker.header.stamp) for marker in message.markers]
+        stamp = _stamp_s(message)
         with self._taking:
-            for marker in message.markers:
-                if marker.action == Marker.DELETEALL:
-                    self.corners.clear()
-                elif marker.action == Marker.DELETE:
-                    self.corners.pop((marker.ns, marker.id), None)
-                else:
-                    self.corners[marker.ns, marker.id] = np.array([(p.x, p.y, p.z) for p in marker.points])
-            self.delays += [now - sent for number, sent in self.waiting if number <= max(stamps)]
-            self.waiting = [(number, sent) for number, sent in self.waiting if number > max(stamps)]
+            self.messages.append(message)
+            self.delays += [now - sent for number, sent in self.waiting if number <= stamp]
+            self.waiting = [(number, sent) for number, sent in self.waiting if number > stamp]
         self.last_shown = now
+
+
+def _stamp_s(message: bytes) -> int:
+    """Seconds of the stamp of a MarkerArray, which is that of all of its markers: behind its head and their number."""
+    return int(struct.unpack_from("<i", message, 8)[0])
+
+
+class Shown:
+    """What a viewer shows of messages of `mesh`."""
+
+    def __init__(self) -> None:
+        self._corners: dict[tuple[str, int], NDArray[np.float64]] = {}
+
+    def take(self, message: MarkerArray) -> None:
+        """Do what a message says."""
+        for marker in message.markers:
+            if marker.action == Marker.DELETEALL:
+                self._corners.clear()
+            elif marker.action == Marker.DELETE:
+                self._corners.pop((marker.ns, marker.id), None)
+            else:
+                self._corners[marker.ns, marker.id] = np.array([(p.x, p.y, p.z) for p in marker.points])
+
+    def mesh(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Vertices and faces; corners at one place are one vertex."""
+        vertices, number = np.unique(np.concatenate(list(self._corners.values())), axis=0, return_inverse=True)
+        return vertices, number.reshape(-1, 3)
 
 
 def _ask(asked: Connection) -> None:
@@ -248,36 +284,20 @@ def watched(rebuild: str) -> Iterator[Watched]:
         node.close()
 
 
-def measure(scene: Scene, rebuild: str, rate: float) -> list[dict[str, object]]:
+def measure(scene: Scene, rebuild: str, rate: float) -> list[Row]:
     """Rows of the table: while it grows, at its full size, after a correction, after ~/reconstruct."""
     offline = reconstruct(scene.whole(), ReconstructionConfig()).mesh
-    offline_f5 = scene.f5(offline.vertices, offline.faces)
-    rows = []
+    rows: list[Row] = []
+    messages: list[int] = []
 
     def note(what: str) -> None:
-        delays, answers = 1e3 * np.array(node.delays), 1e3 * np.array(node.answers())
-        score = scene.f5(*node.mesh())
-        rows.append(
-            {
-                "cloud": scene.name,
-                "points": len(scene.whole()),
-                "what": what,
-                "shown after ms, median": f"{np.median(delays):.0f}" if len(delays) else "",
-                "95 %": f"{np.quantile(delays, 0.95):.0f}" if len(delays) else "",
-                "most": f"{delays.max():.0f}" if len(delays) else "",
-                "answers ms, 99 %": f"{np.quantile(answers, 0.99):.1f}" if len(answers) else "",
-                "answers, most": f"{answers.max():.1f}" if len(answers) else "",
-                "F5": f"{score:.2f}",
-                "offline": f"{offline_f5:.2f}",
-                "faces": len(node.mesh()[1]),
-                "cores": f"{(node.processor_s() - used) / (time.monotonic() - began):.2f}",
-                "MB": f"{node.memory_mb():.0f}",
-            }
-        )
-        node.delays.clear()
+        # Meshes are looked at in the end: meanwhile it would hold what is to be sent, and the processor.
+        rows.append({"cloud": scene.name, "points": len(scene.whole()), "what": what} | node.figures())
+        messages.append(len(node.messages))
 
     with watched(rebuild) as node:
-        began, used = time.monotonic(), node.processor_s()
+        node.begin()
+        began = time.monotonic()
         for number, cloud in enumerate(scene.pieces):
             node.send(cloud, number // _SCANS_A_PIECE)
             time.sleep(max(0.0, began + number / rate - time.monotonic()))
@@ -286,7 +306,7 @@ def measure(scene: Scene, rebuild: str, rate: float) -> list[dict[str, object]]:
                 note("while it grows to 90 %")
         node.settle()
         note("to its end")
-        began, used = time.monotonic(), node.processor_s()
+        node.begin()
         count = -(-len(scene.pieces) // _SCANS_A_PIECE)
         for revision, lift in ((1, _CORRECTION_M), (2, 0.0)):
             for number in range(count // 3, 2 * count // 3):
@@ -299,6 +319,13 @@ def measure(scene: Scene, rebuild: str, rate: float) -> list[dict[str, object]]:
         node.reconstruct()
         time.sleep(_QUIET_S)
         note("after ~/reconstruct")
+    shown, offline_f5 = Shown(), scene.f5(offline.vertices, offline.faces)
+    for row, begin, end in zip(rows, [0, *messages], messages, strict=False):
+        for message in node.messages[begin:end]:
+            shown.take(deserialize_message(message, MarkerArray))
+        vertices, faces = shown.mesh()
+        f5 = scene.f5(vertices, faces)
+        row |= {"F5": f"{f5:.2f}", "offline": f"{offline_f5:.2f}", "faces": len(faces)}
     return rows
 
 

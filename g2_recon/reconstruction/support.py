@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.chunks import in_chunks
-from g2_recon.geometry.point_grid import PointGrid, has_point_near, nearest_point, point_grid
+from g2_recon.geometry.point_grid import (
+    PointGrid,
+    cell_of,
+    cells_around,
+    has_point_near,
+    is_among,
+    nearest_point,
+    point_grid,
+)
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -86,11 +94,14 @@ def are_near(points: Float, others: Float, distance: float, workers: int) -> Mas
     mask = np.zeros(len(points), bool)
     if len(others) and len(points):
         grid = point_grid(others, cell=distance)
-        in_chunks(lambda begin, end: _fill_near(points, grid, distance, begin, end, mask), len(points), workers)
+        around = cells_around(grid)
+        in_chunks(lambda begin, end: _fill_near(points, grid, around, distance, begin, end, mask), len(points), workers)
     return mask
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill_near(points, grid, distance, begin, end, mask):  # type: ignore[no-untyped-def]
-    for i in range(begin, end):
-        mask[i] = has_point_near(grid, points[i, 0], points[i, 1], points[i, 2], distance)
+def _fill_near(points, grid, around, distance, begin, end, mask):  # type: ignore[no-untyped-def]
+    for row in range(begin, end):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        i, j, k = cell_of(grid, x, y, z)
+        mask[row] = is_among(around, i, j, k) and has_point_near(grid, x, y, z, distance)
