@@ -6,8 +6,8 @@
 
 A node is heard when another process has its first diagnostics: alone, and while the others run. With several around,
 Fast DDS lets one that was there before find a new one at times only when it announces itself again, every 3 s; so it is
-measured with one that does so every 0.2 s, too, and with a node of rclpy that does nothing but publish. With --first, a
-node is started with no kernels on the disk, and works when it says so.
+measured with one that does so every 0.2 s, too, and with a node of rclpy that does nothing but publish. With --first,
+nodes are started with no kernels on the disk, each alone and all at once, and work when they say so.
 """
 
 from __future__ import annotations
@@ -35,6 +35,13 @@ from report import Table, page, save
 _PERIODS_S = (3.0, 0.2)
 _LONGEST_S = 300.0
 _PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+# What a node says when it has no kernels, when it works, and when it has them all.
+_SAID = {
+    "says so after s": "compiling kernels",
+    "works after s": "kernels are compiled",
+    "has all kernels after s": "all kernels are compiled",
+}
 
 _BARE = "bare_node"
 _BARE_NODE = """
@@ -118,29 +125,36 @@ def heard(period: float, starts: int) -> list[dict[str, Any]]:
         return rows
 
 
-def first_start(name: str) -> dict[str, Any]:
-    """A row of a table: a node that has no kernels yet."""
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "log"
-        began = time.monotonic()
-        with log.open("wb") as file:
-            process = begin(name, cache=folder, log=file)
-        try:
-            says, works = (_wait_for(log, words) - began for words in ("compiling", "kernels are compiled"))
-            return {"node": name, "says so after s": f"{says:.1f}", "works after s": f"{works:.0f}"}
-        finally:
-            process.terminate()
-            process.wait()
+def first_start(*names: str) -> list[dict[str, Any]]:
+    """Rows of a table: nodes that are started at once and have no kernels yet."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as running:
+        began, logs = time.monotonic(), {name: Path(folder) / name for name in names}
+        for name, log in logs.items():
+            process = begin(name, cache=str(Path(folder) / "cache"), log=running.enter_context(log.open("wb")))
+            running.callback(process.wait)
+            running.callback(process.terminate)
+        said = _when_said(logs, began)
+        return [
+            {"node": name, "started": "alone" if len(names) == 1 else "with the others"}
+            | {column: f"{said[name, words]:.1f}" for column, words in _SAID.items()}
+            for name in names
+        ]
 
 
-def _wait_for(log: Path, words: str) -> float:
-    """When a log holds some words."""
+def _when_said(logs: dict[str, Path], began: float) -> dict[tuple[str, str], float]:
+    """How long after the beginning, s, each of some logs held what it is to hold in the end."""
     end = time.monotonic() + _LONGEST_S
-    while words not in log.read_text():
+    awaited = set(itertools.product(logs, _SAID.values()))
+    said: dict[tuple[str, str], float] = {}
+    while awaited:
         if time.monotonic() > end:
-            raise TimeoutError(words)
+            raise TimeoutError(f"never said: {awaited}")
         time.sleep(0.05)
-    return time.monotonic()
+        texts = {name: log.read_text() for name, log in logs.items()}
+        come = {(name, words) for name, words in awaited if words in texts[name]}
+        said |= dict.fromkeys(come, time.monotonic() - began)
+        awaited -= come
+    return said
 
 
 def main() -> None:
@@ -155,7 +169,7 @@ def main() -> None:
         with get_context("spawn").Pool(1) as pool:
             sections[""] += pool.apply(heard, (period, given.starts))
     if given.first:
-        sections["The first start ever"] = [first_start(name) for name in NODES]
+        sections["The first start ever"] = [row for name in NODES for row in first_start(name)] + first_start(*NODES)
     OUT.mkdir(parents=True, exist_ok=True)
     note = f"{given.starts} starts of each. The load of the machine was {os.getloadavg()[1]:.1f} at the end."
     save(OUT / "start_up.json", Table("Start-up", note, sections))

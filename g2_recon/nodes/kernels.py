@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from threading import Lock
 
 # What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
@@ -30,12 +31,19 @@ _LATE = {
     "training": (_LATE_IN_TRAINING,),
 }
 
+# A tenth of the processor of what no message waits for, where others want it, too.
+_NICENESS = 10
+
 
 class KernelCompiler:
     """Compiles parts of g2_recon.warm_up, one after the other, as far as Numba does not have them on its disk."""
 
-    def __init__(self, parts: Sequence[str]) -> None:
-        """Begin with the first one."""
+    def __init__(self, parts: Sequence[str], held_for: str = "") -> None:
+        """Begin with the first one. All but that which messages are held for let others go first.
+
+        Where all nodes of a robot start for the first time, poses would else wait for the kernels of a mesh.
+        """
+        self._held_for = held_for
         self._parts = [part for part in parts if not are_cached(part)]
         self._process: subprocess.Popen[bytes] | None = None
         # Other threads of a node may ask, too.
@@ -53,6 +61,8 @@ class KernelCompiler:
                 self._process = subprocess.Popen(
                     [sys.executable, "-m", "g2_recon.warm_up", self._parts[0]], start_new_session=True
                 )
+                if self._parts[0] != self._held_for:
+                    _let_others_go_first(self._process.pid)
             return tuple(self._parts)
 
     def close(self) -> None:
@@ -65,6 +75,14 @@ class KernelCompiler:
                     os.killpg(self._process.pid, signal.SIGKILL)
                 self._process.wait()
             self._process = None
+
+
+def _let_others_go_first(session: int) -> None:
+    """Lower the priority of the process that leads a session, of what it starts from now on, and of the session."""
+    with suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, session, _NICENESS)
+        # Linux may share the processor among sessions first (sched(7), autogroup).
+        Path(f"/proc/{session}/autogroup").write_text(str(_NICENESS))
 
 
 def are_cached(part: str) -> bool:

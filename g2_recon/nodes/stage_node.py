@@ -125,7 +125,8 @@ class StageNode(Node, Generic[Settings]):
         hold: messages wait, in their order, until the first of the parts is compiled. load: runs those that are
         compiled, in a thread beside, as the first message would else wait until they have come from the disk.
         """
-        self._compiler = KernelCompiler(parts)
+        self._held_for = parts[0]
+        self._compiler = KernelCompiler(parts, self._held_for if hold else "")
         if not self._compiler.parts_left():
             if load is not None:
                 self._loading = Thread(target=load, name="loading kernels")
@@ -135,7 +136,6 @@ class StageNode(Node, Generic[Settings]):
             "compiling kernels, this first time ever: work begins in half a minute or more, and what comes until then "
             "waits; `python -m g2_recon.warm_up` does it beforehand"
         )
-        self._held_for = parts[0]
         self._held = deque() if hold and self._held_for in self._compiler.parts_left() else None
         self._compiled_timer = self.create_timer(_COMPILED_PERIOD_S, self._look_at_compiler, clock=self.steady_clock)
 

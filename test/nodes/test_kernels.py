@@ -29,8 +29,9 @@ MOUNTED = ("-p", "laser_pose:=[0.0,0.0,0.3,0.0,0.0,0.0]")
 class Compiler:
     """Says that it compiles until it is told to be done."""
 
-    def __init__(self, parts):
+    def __init__(self, parts, held_for):
         self._parts = parts
+        self.held_for = held_for
         self.compiled = []
 
     def parts_left(self):
@@ -78,6 +79,21 @@ def test_parts_are_compiled_one_after_the_other(monkeypatch):
         if compiler._process is not None:
             compiler._process.wait()
     assert begun == ["tracking", "registration"]
+
+
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="Linux only")
+def test_only_what_messages_wait_for_is_compiled_at_full_priority(monkeypatch):
+    popen, waits = subprocess.Popen, [sys.executable, "-c", "input()"]
+    monkeypatch.setattr(kernels.subprocess, "Popen", lambda command, **how: popen(waits, stdin=subprocess.PIPE, **how))
+    monkeypatch.setattr(kernels, "are_cached", lambda part: False)
+    compiler = kernels.KernelCompiler(["tracking", "localization"], "tracking")
+    niceness = {}
+    while compiler.parts_left():
+        process = compiler._process
+        of_session = int(Path(f"/proc/{process.pid}/autogroup").read_text().split()[-1])
+        niceness[compiler.parts_left()[0]] = os.getpriority(os.PRIO_PROCESS, process.pid), of_session
+        process.communicate(b"\n")
+    assert niceness == {"tracking": (os.getpriority(os.PRIO_PROCESS, 0), 0), "localization": (10, 10)}
 
 
 def test_where_all_kernels_are_on_the_disk_none_is_compiled(monkeypatch):
