@@ -190,7 +190,9 @@ def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     for di in range(-rings, rings + 1):
         for dj in range(-rings, rings + 1):
             for dk in range(-rings, rings + 1):
-                if _gap(grid, i + di, j + dj, k + dk, x, y, z) > distance * distance:
+                if (di == 0 and dj == 0 and dk == 0) or _gap(
+                    grid, i + di, j + dj, k + dk, x, y, z
+                ) > distance * distance:
                     continue
                 if _is_near_in_cell(grid, i + di, j + dj, k + dk, x, y, z, distance):
                     return True
@@ -201,9 +203,11 @@ def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
 def _is_near_in_cell(grid, i, j, k, x, y, z, distance):  # type: ignore[no-untyped-def]
     """Whether a point of the cell (i, j, k) lies within `distance` metres of the place (x, y, z)."""
     row, end = points_in_cell(grid, i, j, k)
-    while row < end and _squared_distance(grid, row, x, y, z) > distance * distance:
+    is_near = False
+    while row < end and not is_near:
+        is_near = _squared_distance(grid, row, x, y, z) <= distance * distance
         row += 1
-    return row < end
+    return is_near
 
 
 @numba.njit(cache=True, nogil=True)

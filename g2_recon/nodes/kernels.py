@@ -46,6 +46,7 @@ class KernelCompiler:
         self._held_for = held_for
         self._parts = [part for part in parts if not are_cached(part)]
         self._process: subprocess.Popen[bytes] | None = None
+        self._to_be_lowered = False
         # Other threads of a node may ask, too.
         self._asking = Lock()
         self.parts_left()
@@ -61,8 +62,9 @@ class KernelCompiler:
                 self._process = subprocess.Popen(
                     [sys.executable, "-m", "g2_recon.warm_up", self._parts[0]], start_new_session=True
                 )
-                if self._parts[0] != self._held_for:
-                    _let_others_go_first(self._process.pid)
+                self._to_be_lowered = self._parts[0] != self._held_for
+            if self._process is not None and self._to_be_lowered:
+                self._to_be_lowered = not _let_others_go_first(self._process.pid)
             return tuple(self._parts)
 
     def close(self) -> None:
@@ -77,12 +79,24 @@ class KernelCompiler:
             self._process = None
 
 
-def _let_others_go_first(session: int) -> None:
-    """Lower the priority of the process that leads a session, of what it starts from now on, and of the session."""
+def _let_others_go_first(session: int) -> bool:
+    """Lower the priority of the process that leads a session, of what it starts from now on, and of the session.
+
+    False where it is to be tried again later.
+    """
     with suppress(AttributeError, OSError):
-        os.setpriority(os.PRIO_PROCESS, session, _NICENESS)
+        # Not raised, where that of the node is even lower.
+        niceness = max(_NICENESS, os.getpriority(os.PRIO_PROCESS, session))
+        os.setpriority(os.PRIO_PROCESS, session, niceness)
+    try:
         # Linux may share the processor among sessions first (sched(7), autogroup).
         Path(f"/proc/{session}/autogroup").write_text(str(_NICENESS))
+    except BlockingIOError:
+        # For all users but root, it takes one such change in 0.1 s.
+        return False
+    except OSError:
+        pass
+    return True
 
 
 def are_cached(part: str) -> bool:

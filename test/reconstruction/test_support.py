@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
 
 from g2_recon.geometry.point_grid import point_grid
 from g2_recon.reconstruction.support import are_near, on_own_data, supported
@@ -27,9 +28,11 @@ def test_faces_over_the_data_of_another_submap_are_told():
     assert not on_own_data(vertices + (0, 0, 1.0), faces, np.array([0, 1]), grid, label, 0.2).any()
 
 
-def test_nearness_is_that_of_all_distances():
+@pytest.mark.parametrize("count", [300, 10_000])
+def test_nearness_is_that_of_all_distances(count):
     rng = np.random.default_rng(0)
-    points, others = rng.random((300, 3)), rng.random((20, 3))
-    expected = (np.linalg.norm(points[:, None] - others, axis=2) <= 0.15).any(axis=1)
-    np.testing.assert_array_equal(are_near(points, others, 0.15, 2), expected)
-    assert 0 < expected.sum() < 300
+    points, others = 3 * rng.random((count, 3)), 2 * rng.random((100, 3))
+    points[:3] = np.nan, np.inf, 1e9
+    expected = (np.linalg.norm(points[:, None] - others, axis=2) <= 0.3).any(axis=1)
+    np.testing.assert_array_equal(are_near(points, others, 0.3, 2), expected)
+    assert 0 < expected.sum() < count
