@@ -179,9 +179,9 @@ class Watched:
 
     def figures(self) -> Row:
         """What a row says of the node; delays are those since this was asked before."""
+        answers = 1e3 * np.array(self.answers())
         with self._taking:
             delays, self.delays = 1e3 * np.array(self.delays), []
-        answers = 1e3 * np.array(self.answers())
         return {
             "shown after ms, median": f"{np.median(delays):.0f}" if len(delays) else "",
             "95 %": f"{np.quantile(delays, 0.95):.0f}" if len(delays) else "",
@@ -316,6 +316,7 @@ def measure(scene: Scene, rebuild: str, rate: float) -> list[Row]:
                 node.send(Cloud(part.points + up, sensor), number, revision)
             node.settle()
         note("a third of it moved and back")
+        node.begin()
         node.reconstruct()
         time.sleep(_QUIET_S)
         note("after ~/reconstruct")
