@@ -29,6 +29,7 @@ from threading import Lock, Thread
 
 import numpy as np
 import rclpy
+from nodes import BAG, OUT, ROOT, processor_s
 from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -49,10 +50,6 @@ from g2_recon.pipeline import localize, register
 from g2_recon.reconstruction.reconstructor import reconstruct
 from g2_recon.recording.bags import read_bag
 from g2_recon.recording.surfaces import read_true_surface
-
-ROOT = Path(__file__).parents[1]
-OUT = ROOT / "out/benchmarks"
-BAG = ROOT / "bags/first_floor"
 
 # So many scans a message of the correction, as the registrar has them in a piece; moved by so much, m.
 _SCANS_A_PIECE = 16
@@ -175,20 +172,21 @@ class Watched:
 
     def begin(self) -> None:
         """Count what the node uses from here on."""
-        self._began, self._used = time.monotonic(), self._processor_s()
+        self._began, self._used = time.monotonic(), processor_s([self._process.pid])
 
     def figures(self) -> Row:
         """What a row says of the node; delays are those since this was asked before."""
         answers = 1e3 * np.array(self.answers())
         with self._taking:
             delays, self.delays = 1e3 * np.array(self.delays), []
+        took, used = time.monotonic() - self._began, processor_s([self._process.pid]) - self._used
         return {
             "shown after ms, median": f"{np.median(delays):.0f}" if len(delays) else "",
             "95 %": f"{np.quantile(delays, 0.95):.0f}" if len(delays) else "",
             "most": f"{delays.max():.0f}" if len(delays) else "",
             "answers ms, 99 %": f"{np.quantile(answers, 0.99):.1f}" if len(answers) else "",
             "answers, most": f"{answers.max():.1f}" if len(answers) else "",
-            "cores": f"{(self._processor_s() - self._used) / (time.monotonic() - self._began):.2f}",
+            "cores": f"{used / took:.2f}",
             "MB": f"{self._memory_mb():.0f}",
         }
 
@@ -196,11 +194,6 @@ class Watched:
         """Of the node, now."""
         status = Path(f"/proc/{self._process.pid}/status").read_text()
         return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
-
-    def _processor_s(self) -> float:
-        """What the node used so far."""
-        ticks = Path(f"/proc/{self._process.pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(ticks[11]) + int(ticks[12])) / os.sysconf("SC_CLK_TCK")
 
     def _on_mesh(self, message: bytes) -> None:
         now = time.monotonic()

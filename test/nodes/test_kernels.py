@@ -31,7 +31,6 @@ class Compiler:
 
     def __init__(self, parts, held_for):
         self._parts = parts
-        self.held_for = held_for
         self.compiled = []
 
     def parts_left(self):
