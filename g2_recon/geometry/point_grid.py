@@ -37,13 +37,6 @@ class PointGrid(NamedTuple):
     cell: float
 
 
-class Cells(NamedTuple):
-    """Some cells of a grid: cells: (C, 3) coordinates. slots: (S,) hash table of their numbers, -1 if empty."""
-
-    cells: Int
-    slots: NDArray[np.int32]
-
-
 def point_grid(points: Float, *, cell: float) -> PointGrid:
     """Sort points (N, 3) in metres into cells of the given edge, in time and memory proportional to N.
 
@@ -60,19 +53,6 @@ def point_grid(points: Float, *, cell: float) -> PointGrid:
     number, cells, slots = _number_cells(points, origin, float(cell))
     order, begin = _sort_by_counting(number, len(cells))
     return PointGrid(points.take(order, axis=0), order, begin, cells, slots, origin, float(cell))
-
-
-def cells_around(grid: PointGrid) -> Cells:
-    """The occupied cells and the 26 around each: no point is within an edge of a place in any other cell.
-
-    Where most places are far from all points, to ask for the cell first is many times as fast.
-    """
-    cells, slots = grid.cells, grid.slots
-    for axis in np.eye(3):
-        # One axis after the other: of all 27 at once, most are the same.
-        beside = np.concatenate([cells - axis, cells, cells + axis])
-        _, cells, slots = _number_cells(beside, np.zeros(3), 1.0)
-    return Cells(cells, slots)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -146,28 +126,15 @@ def _sort_by_counting(number, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _number_of(i, j, k, cells, slots):  # type: ignore[no-untyped-def]
-    """The number of the cell (i, j, k); -1 where it is not among the cells of the table."""
-    slot = _slot(i, j, k, slots)
-    while slots[slot] >= 0:
-        number = slots[slot]
-        if cells[number, 0] == i and cells[number, 1] == j and cells[number, 2] == k:
-            return number
-        slot = (slot + 1) & (len(slots) - 1)
-    return -1
-
-
-@numba.njit(cache=True, nogil=True)
-def is_among(cells, i, j, k):  # type: ignore[no-untyped-def]
-    """Whether the cell (i, j, k) is one of these."""
-    return _number_of(i, j, k, cells.cells, cells.slots) >= 0
-
-
-@numba.njit(cache=True, nogil=True)
 def points_in_cell(grid, i, j, k):  # type: ignore[no-untyped-def]
     """Begin and end, in grid.points, of the points in the cell (i, j, k)."""
-    number = _number_of(i, j, k, grid.cells, grid.slots)
-    return (grid.begin[number], grid.begin[number + 1]) if number >= 0 else (0, 0)
+    slot = _slot(i, j, k, grid.slots)
+    while grid.slots[slot] >= 0:
+        number = grid.slots[slot]
+        if grid.cells[number, 0] == i and grid.cells[number, 1] == j and grid.cells[number, 2] == k:
+            return grid.begin[number], grid.begin[number + 1]
+        slot = (slot + 1) & (len(grid.slots) - 1)
+    return 0, 0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -184,30 +151,21 @@ def cell_of(grid, x, y, z):  # type: ignore[no-untyped-def]
 def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     """Whether a point lies within `distance` metres of the place (x, y, z)."""
     i, j, k = cell_of(grid, x, y, z)
-    if _is_near_in_cell(grid, i, j, k, x, y, z, distance):
-        return True
+    if grid.cell * 1.7320508 <= distance:
+        begin, end = points_in_cell(grid, i, j, k)
+        if end > begin:
+            return True
     rings = math.ceil(distance / grid.cell)
     for di in range(-rings, rings + 1):
         for dj in range(-rings, rings + 1):
             for dk in range(-rings, rings + 1):
-                if (di == 0 and dj == 0 and dk == 0) or _gap(
-                    grid, i + di, j + dj, k + dk, x, y, z
-                ) > distance * distance:
+                if _gap(grid, i + di, j + dj, k + dk, x, y, z) > distance * distance:
                     continue
-                if _is_near_in_cell(grid, i + di, j + dj, k + dk, x, y, z, distance):
-                    return True
+                begin, end = points_in_cell(grid, i + di, j + dj, k + dk)
+                for row in range(begin, end):
+                    if _squared_distance(grid, row, x, y, z) <= distance * distance:
+                        return True
     return False
-
-
-@numba.njit(cache=True, nogil=True)
-def _is_near_in_cell(grid, i, j, k, x, y, z, distance):  # type: ignore[no-untyped-def]
-    """Whether a point of the cell (i, j, k) lies within `distance` metres of the place (x, y, z)."""
-    row, end = points_in_cell(grid, i, j, k)
-    is_near = False
-    while row < end and not is_near:
-        is_near = _squared_distance(grid, row, x, y, z) <= distance * distance
-        row += 1
-    return is_near
 
 
 @numba.njit(cache=True, nogil=True)

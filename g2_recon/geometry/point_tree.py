@@ -1,13 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
-"""The nearest points to each of a few places near each other, found in a tree of bounding boxes.
+"""Points near places, found in a tree of bounding boxes.
 
-SciPy's cKDTree finds the same ones, in twice the time: it descends once a place, and returns (N, k) arrays, where a
-kernel needs the neighbors of one point at a time. This search is most of what mode solid does with each of the points.
+The nearest points to each of a few places near each other: SciPy's cKDTree finds the same ones, in twice the time, as
+it descends once a place, and returns (N, k) arrays, where a kernel needs the neighbors of one point at a time. This
+search is most of what mode solid does with each of the points. And whether there is a point near each of many places:
+cKDTree tells it in five times the time, as it looks for the nearest.
 """
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -20,6 +23,7 @@ from g2_recon.geometry.selection import select
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 # Points in a leaf, and the best number of places to search for together.
 BLOCK = 8
@@ -187,3 +191,44 @@ def _gap(boxes, node, low_x, low_y, low_z, high_x, high_y, high_z):  # type: ign
     dy = max(boxes[node, 1] - high_y, low_y - boxes[node, 4], 0.0)
     dz = max(boxes[node, 2] - high_z, low_z - boxes[node, 5], 0.0)
     return dx * dx + dy * dy + dz * dz
+
+
+def are_near(points: Float, others: Float, distance: float, workers: int) -> Mask:
+    """Mask (N,) of the points (N, 3) with another one (M, 3), all of these finite, within `distance` metres."""
+    mask = np.zeros(len(points), bool)
+    if len(others):
+        tree = point_tree(others, workers=workers)
+        in_chunks(lambda begin, end: _fill_near(points, tree, distance, begin, end, mask), len(points), workers)
+    return mask
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_near(points, tree, distance, begin, end, mask):  # type: ignore[no-untyped-def]
+    boxes, leaves, _ = tree
+    leaf_count, squared = len(boxes) // 2, distance * distance
+    nodes = np.empty(_LEVELS, np.int64)
+    for row in range(begin, end):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        nodes[0], top = 1, 1 if math.isfinite(x + y + z) else 0
+        is_near = False
+        while top > 0 and not is_near:
+            top -= 1
+            node = nodes[top]
+            below_x, above_x = boxes[node, 0] - x, x - boxes[node, 3]
+            below_y, above_y = boxes[node, 1] - y, y - boxes[node, 4]
+            below_z, above_z = boxes[node, 2] - z, z - boxes[node, 5]
+            dx, dy, dz = max(below_x, above_x, 0.0), max(below_y, above_y, 0.0), max(below_z, above_z, 0.0)
+            if dx * dx + dy * dy + dz * dz > squared:
+                continue
+            if node < leaf_count:
+                # Where the farthest corner of a box is near, all of its points are.
+                dx, dy, dz = min(below_x, above_x), min(below_y, above_y), min(below_z, above_z)
+                is_near = dx * dx + dy * dy + dz * dz <= squared
+                nodes[top], nodes[top + 1] = 2 * node, 2 * node + 1
+                top += 2
+            else:
+                leaf = node - leaf_count
+                for i in range(BLOCK):
+                    dx, dy, dz = leaves[leaf, 0, i] - x, leaves[leaf, 1, i] - y, leaves[leaf, 2, i] - z
+                    is_near |= dx * dx + dy * dy + dz * dz <= squared
+        mask[row] = is_near

@@ -22,6 +22,7 @@ from g2_recon.config import ReconstructionConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.mesh import Mesh
+from g2_recon.geometry.point_tree import are_near
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.collected_cloud import Part
 from g2_recon.reconstruction.growing_joins import join_changed, leave_out_submaps, leave_what_has_data
@@ -37,7 +38,6 @@ from g2_recon.reconstruction.solid import (
     reported,
     wire_of,
 )
-from g2_recon.reconstruction.support import are_near
 from g2_recon.reconstruction.surface_points import SurfacePoints
 from g2_recon.reconstruction.usable_points import check_enough, near_sensor
 

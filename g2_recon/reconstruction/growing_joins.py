@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from g2_recon.config import ReconstructionConfig
 from g2_recon.geometry.mesh import Mesh
 from g2_recon.geometry.point_grid import point_grid
+from g2_recon.geometry.point_tree import are_near
 from g2_recon.progress import Progress
 from g2_recon.reconstruction.growing_state import State, renumbered
 from g2_recon.reconstruction.mesh_of_submaps import (
@@ -29,7 +30,7 @@ from g2_recon.reconstruction.mesh_of_submaps import (
 )
 from g2_recon.reconstruction.sewing import MADE_ANEW, sewn
 from g2_recon.reconstruction.solid import check_covered, reported
-from g2_recon.reconstruction.support import are_near, supported
+from g2_recon.reconstruction.support import supported
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]

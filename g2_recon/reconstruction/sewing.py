@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from g2_recon.geometry.point_tree import are_near
 from g2_recon.geometry.union_find import linked
 from g2_recon.reconstruction.mesh_of_submaps import Sheet, without_loose_vertices
-from g2_recon.reconstruction.support import are_near
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]

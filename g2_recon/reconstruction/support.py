@@ -9,16 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.chunks import in_chunks
-from g2_recon.geometry.point_grid import (
-    Cells,
-    PointGrid,
-    cell_of,
-    cells_around,
-    has_point_near,
-    is_among,
-    nearest_point,
-    point_grid,
-)
+from g2_recon.geometry.point_grid import PointGrid, has_point_near, nearest_point
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -29,9 +20,6 @@ _PLACES = np.array(
     [[1 / 3, 1 / 3, 1 / 3], [0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2, 0.2, 0.6]]
     + [[0.45, 0.45, 0.1], [0.45, 0.1, 0.45], [0.1, 0.45, 0.45]]
 )
-
-# Points from which one can look for others in the time that the cells around one cell take.
-_AS_LONG_AS_POINTS = 20
 
 
 def supported(vertices: Float, faces: Int, grid: PointGrid, distance: float, workers: int = 1) -> Mask:
@@ -91,29 +79,3 @@ def _on_own_data(middle, submap, grid, label, distance, begin, end, mask):  # ty
     for face in range(begin, end):
         nearest = nearest_point(grid, middle[face, 0], middle[face, 1], middle[face, 2], distance)
         mask[face] = nearest >= 0 and label[nearest] == submap[face]
-
-
-def are_near(points: Float, others: Float, distance: float, workers: int) -> Mask:
-    """Mask (N,) of the points (N, 3) with another one (M, 3) within `distance` metres."""
-    mask = np.zeros(len(points), bool)
-    if len(others) and len(points):
-        grid = point_grid(others, cell=distance)
-        # To find the cells around takes as long as to look from so many points.
-        cells_first = _AS_LONG_AS_POINTS * len(grid.cells) <= len(points)
-        cells = cells_around(grid) if cells_first else Cells(grid.cells, grid.slots)
-        in_chunks(
-            lambda begin, end: _fill_near(points, grid, cells_first, cells, distance, begin, end, mask),
-            len(points),
-            workers,
-        )
-    return mask
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_near(  # type: ignore[no-untyped-def]
-    points, grid, cells_first, cells, distance, begin, end, mask
-):
-    for row in range(begin, end):
-        x, y, z = points[row, 0], points[row, 1], points[row, 2]
-        i, j, k = cell_of(grid, x, y, z)
-        mask[row] = (not cells_first or is_among(cells, i, j, k)) and has_point_near(grid, x, y, z, distance)

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from g2_recon.config import ReconstructionConfig
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.geometry.point_tree import are_near
 from g2_recon.reconstruction.collected_cloud import Part
 from g2_recon.reconstruction.flat_submaps import FlatSubmaps, train_submaps
 from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.mesh_of_submaps import mesh_of_submaps
 from g2_recon.reconstruction.solid import find_clusters, find_surface
-from g2_recon.reconstruction.support import are_near
 
 _CONFIG = ReconstructionConfig(workers=1)
 # Neurons along a side of the floor that is joined.

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from g2_recon.geometry.point_tree import BLOCK, PointTree, nearest_to_block, point_tree
+from g2_recon.geometry.point_tree import BLOCK, PointTree, are_near, nearest_to_block, point_tree
 
 
 def nearest(tree: PointTree, queries: np.ndarray, k: int, beyond: float) -> tuple[np.ndarray, np.ndarray]:
@@ -122,3 +122,34 @@ def test_the_tree_does_not_depend_on_the_workers() -> None:
     points = np.random.default_rng(4).normal(size=(9000, 3))
     for one, three in zip(point_tree(points, workers=1), point_tree(points, workers=3), strict=True):
         np.testing.assert_array_equal(one, three)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(0, 300),
+    distance=st.sampled_from([0.1, 0.3, 2.0]),
+    grid=st.booleans(),
+    flat=st.booleans(),
+    origin=st.sampled_from([0.0, 1e6]),
+)
+def test_nearness_is_that_of_all_distances(
+    seed: int, count: int, distance: float, grid: bool, flat: bool, origin: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    points, others = 3 * rng.random((400, 3)), 2 * rng.random((count, 3))
+    if grid:
+        points, others = np.round(points, 1), np.round(others, 1)
+    if flat:
+        others[:, 2] = 0.0
+    points, others = points + origin, others + origin
+    x, y, z = (points[:, None] - others).transpose(2, 0, 1)
+    expected = (x * x + y * y + z * z <= distance * distance).any(axis=1)
+    np.testing.assert_array_equal(are_near(points, others, distance, 2), expected)
+
+
+def test_what_is_not_finite_is_near_to_nothing():
+    points = np.zeros((5, 3))
+    points[:4, 1] = np.nan, np.inf, -np.inf, 1e300
+    assert are_near(points, np.zeros((20, 3)), 0.3, 1).tolist() == [False, False, False, False, True]
+    assert are_near(np.zeros((0, 3)), np.zeros((1, 3)), 0.3, 1).tolist() == []

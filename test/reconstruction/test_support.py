@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
-import pytest
 
 from g2_recon.geometry.point_grid import point_grid
-from g2_recon.reconstruction.support import are_near, on_own_data, supported
+from g2_recon.reconstruction.support import on_own_data, supported
 
 
 def test_a_face_over_a_gap_in_the_data_is_not_supported():
@@ -26,13 +25,3 @@ def test_faces_over_the_data_of_another_submap_are_told():
     for submap, own in (([0, 1], [True, True]), ([0, 0], [True, False]), ([1, 1], [False, True])):
         assert on_own_data(vertices, faces, np.array(submap), grid, label, 0.2).tolist() == own
     assert not on_own_data(vertices + (0, 0, 1.0), faces, np.array([0, 1]), grid, label, 0.2).any()
-
-
-@pytest.mark.parametrize("count", [300, 10_000])
-def test_nearness_is_that_of_all_distances(count):
-    rng = np.random.default_rng(0)
-    points, others = 3 * rng.random((count, 3)), 2 * rng.random((100, 3))
-    points[:3] = np.nan, np.inf, 1e9
-    expected = (np.linalg.norm(points[:, None] - others, axis=2) <= 0.3).any(axis=1)
-    np.testing.assert_array_equal(are_near(points, others, 0.3, 2), expected)
-    assert 0 < expected.sum() < count
