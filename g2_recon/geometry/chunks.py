@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+import os
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from threading import local
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,20 +16,54 @@ from numpy.typing import NDArray
 
 Result = TypeVar("Result")
 
-# Points a task: many tasks a worker, each large enough that its start costs nothing.
-_CHUNK = 8192
+# Points a task: many tasks a worker, each large enough that to hand it over costs nothing.
+_CHUNK = 2048
+
+_own = local()
 
 
 def in_chunks(work: Callable[[int, int], Result], size: int, workers: int, *, chunk: int = _CHUNK) -> list[Result]:
     """What work(begin, end) returns for parts of range(size), called in threads.
 
-    It is for kernels without the global interpreter lock, or where NumPy lets go of it. What would be one task only is
-    done here: a live mesh asks for hundreds of such a second, for which threads would cost more than the work.
+    It is for kernels without the global interpreter lock, or where NumPy lets go of it. A live mesh asks for hundreds
+    of such a second, and a thread may take milliseconds to begin where processors are busy: so the caller takes parts
+    like all others, and waits for none that have not begun when nothing is left.
     """
     if workers == 1 or size <= chunk:
         return [work(begin, min(begin + chunk, size)) for begin in range(0, size, chunk)]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(lambda begin: work(begin, min(begin + chunk, size)), range(0, size, chunk)))
+    left = deque(range(0, size, chunk))
+    results: list[Any] = [None] * len(left)
+
+    def take_part() -> None:
+        while True:
+            try:
+                begin = left.popleft()
+            except IndexError:
+                return
+            results[begin // chunk] = work(begin, min(begin + chunk, size))
+
+    helpers = [_helpers().submit(take_part) for _ in range(min(workers, len(left)) - 1)]
+    try:
+        take_part()
+    finally:
+        # After an error, or an interrupt, the rest is not needed.
+        left.clear()
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+    for helper in begun:
+        helper.result()
+    return results
+
+
+def _helpers() -> ThreadPoolExecutor:
+    """The threads that help this thread: they have its priority, as it starts them, and none waits for work of others.
+
+    They end with it. Where there are none, as in the child of a fork, the caller does all.
+    """
+    if not hasattr(_own, "helpers"):
+        _own.helpers = ThreadPoolExecutor(os.cpu_count(), "chunks")
+    helpers: ThreadPoolExecutor = _own.helpers
+    return helpers
 
 
 def taken(array: NDArray[Any], rows: NDArray[np.int64], workers: int) -> NDArray[Any]:

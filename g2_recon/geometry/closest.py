@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.selection import select
 
 Float = NDArray[np.float64]
@@ -102,11 +102,10 @@ def closest_in_tree(points: Float, tree: TriangleTree, *, limit: float = math.in
     rows = _near_after_near(local)
     beyond = np.nextafter(limit * limit, np.inf)
 
-    def search(begin: int) -> None:
-        _search(local, rows[begin : begin + _CHUNK], tree, beyond, distance, face, barycentric)
+    def search(begin: int, end: int) -> None:
+        _search(local, rows[begin:end], tree, beyond, distance, face, barycentric)
 
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        list(pool.map(search, range(0, len(local), _CHUNK)))
+    in_chunks(search, len(local), workers or os.cpu_count() or 1, chunk=_CHUNK)
     return ClosestPlaces(distance, face, barycentric)
 
 

@@ -1,8 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The g2_recon developers
 # SPDX-License-Identifier: Apache-2.0
+import os
+import threading
+import time
+
 import numpy as np
 import pytest
 
+from g2_recon.geometry import chunks
 from g2_recon.geometry.chunks import in_chunks, taken
 
 
@@ -26,3 +31,47 @@ def test_taken_rows_are_those_that_an_index_names(shape):
     array, rows = rng.normal(size=shape), rng.integers(0, 9000, 20_000)
     assert (taken(array, rows, 2) == array[rows]).all()
     assert taken(array, rows[:0], 2).shape == (0, *shape[1:])
+
+
+def test_many_threads_do_each_part_once():
+    seen = []
+
+    def work(begin, end):
+        seen.append(begin)
+        return sum(in_chunks(lambda low, high: high - low, end - begin, 3, chunk=10))
+
+    for _ in range(20):
+        seen.clear()
+        assert sum(in_chunks(work, 10_000, 4, chunk=100)) == 10_000
+        assert sorted(seen) == list(range(0, 10_000, 100))
+
+
+def test_an_error_of_one_thread_ends_the_work_of_all():
+    done = []
+
+    def work(begin, end):
+        if begin == 5:
+            raise ValueError("the sixth")
+        time.sleep(1e-3)
+        done.append(begin)
+
+    with pytest.raises(ValueError, match="the sixth"):
+        in_chunks(work, 10_000, 2, chunk=1)
+    assert len(done) < 10_000
+
+
+def test_the_caller_does_not_wait_for_threads_that_have_not_begun():
+    over = threading.Event()
+    held = [chunks._helpers().submit(over.wait, 10) for _ in range(os.cpu_count())]
+    assert in_chunks(lambda begin, end: begin, 3, 2, chunk=1) == [0, 1, 2]
+    assert not any(each.done() for each in held)
+    over.set()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_the_child_of_a_fork_works_without_the_threads_of_its_parent():
+    in_chunks(lambda begin, end: time.sleep(1e-3), 100, 2, chunk=1)
+    child = os.fork()
+    if not child:
+        os._exit(in_chunks(lambda begin, end: 1, 3, 2, chunk=1) != [1, 1, 1])
+    assert os.waitpid(child, 0)[1] == 0
