@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -22,6 +21,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry.closest import TriangleTree, closest_in_tree, triangle_tree
 from g2_recon.geometry.intersections import faces_cross
 from g2_recon.geometry.mesh import TrueSurface
+from g2_recon.kernels import inner_kernel, kernel
 from g2_recon.progress import Progress, silent
 
 Float = NDArray[np.float64]
@@ -250,7 +250,7 @@ def crossing_faces(vertices: Float, faces: Int) -> Mask:
     return np.asarray(_crossing_faces(vertices, faces, corners.min(axis=1), corners.max(axis=1), tree))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _crossing_faces(vertices, faces, low, high, tree: TriangleTree):  # type: ignore[no-untyped-def]
     crosses = np.zeros(len(faces), np.bool_)
     leaves, count = len(tree.boxes) // 2, len(faces)
@@ -277,7 +277,7 @@ def _crossing_faces(vertices, faces, low, high, tree: TriangleTree):  # type: ig
     return crosses
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _is_off(low, high, other_low, other_high):  # type: ignore[no-untyped-def]
     """Whether two boxes are apart."""
     apart = False
@@ -286,7 +286,7 @@ def _is_off(low, high, other_low, other_high):  # type: ignore[no-untyped-def]
     return apart
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _is_same(one, other):  # type: ignore[no-untyped-def]
     shared = 0
     for i in range(3):

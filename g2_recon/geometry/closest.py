@@ -9,13 +9,13 @@ import os
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.selection import select
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -132,7 +132,7 @@ def _near_after_near(points: Float) -> Int:
     return np.argsort(code, kind="stable")
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _sort(order, centers, leaves):  # type: ignore[no-untyped-def]
     """Halve the faces again and again at the median of their centers (F, 3), across the longest side of these.
 
@@ -155,7 +155,7 @@ def _sort(order, centers, leaves):  # type: ignore[no-untyped-def]
         parts *= 2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _boxes(face_low, face_high, leaves):  # type: ignore[no-untyped-def]
     """Low and high corners (2 L, 3) of the nodes; row 0 is not used."""
     low, high = np.full((2 * leaves, 3), np.inf), np.full((2 * leaves, 3), -np.inf)
@@ -171,7 +171,7 @@ def _boxes(face_low, face_high, leaves):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _search(points, rows, tree, beyond, distance, face, barycentric):  # type: ignore[no-untyped-def]
     """Fill in the rows; `beyond` (m^2) is what a squared distance must be below."""
     nodes, gaps = np.empty(_LEVELS, np.int64), np.empty(_LEVELS)
@@ -186,7 +186,7 @@ def _search(points, rows, tree, beyond, distance, face, barycentric):  # type: i
             barycentric[row, 0], barycentric[row, 1], barycentric[row, 2] = max(1.0 - v - w, 0.0), v, w
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def closest_place(tree, x, y, z, beyond, nodes, gaps):  # type: ignore[no-untyped-def]
     """Place in the tree, squared distance (m^2) and weights of b and c of what is closest to (x, y, z) from the origin.
 
@@ -220,7 +220,7 @@ def closest_place(tree, x, y, z, beyond, nodes, gaps):  # type: ignore[no-untype
     return found, best, best_v, best_w
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _gap(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance from a box."""
     dx = max(boxes[node, 0] - x, x - boxes[node, 3], 0.0)
@@ -229,7 +229,7 @@ def _gap(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     return dx * dx + dy * dy + dz * dz
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _closest_on_triangle(corners, x, y, z, best):  # type: ignore[no-untyped-def]
     """Squared distance and weights of b and c of the closest place on a triangle; any that is not below `best`.
 
@@ -274,12 +274,12 @@ def _closest_on_triangle(corners, x, y, z, best):  # type: ignore[no-untyped-def
     return squared, v, w
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _squared(x, y, z):  # type: ignore[no-untyped-def]
     return x * x + y * y + z * z
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _along(px, py, pz, sx, sy, sz, squared):  # type: ignore[no-untyped-def]
     """How far along the side s, as a share of it, the closest place to p is."""
     if squared == 0.0:

@@ -8,9 +8,10 @@ vertex and 2 e + 1 to the smaller one, so that `number ^ 1` runs in the other di
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from g2_recon.kernels import kernel
 
 Int = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -38,7 +39,7 @@ def is_open(faces: Int, count: int) -> Mask:
     return np.asarray(~used[half_edge ^ 1])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _edges_of(faces, count):  # type: ignore[no-untyped-def]
     """Half-edges sorted by counting at the smaller vertex, then by insertion among the few that it has."""
     begin = np.zeros(count + 1, np.int64)

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_grid import PointGrid, cell_of, point_grid, points_in_cell
 from g2_recon.geometry.triangles import area_vector
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -58,7 +58,7 @@ def crossing_pairs(vertices: Float, faces: Int, *, among: Mask | None = None, wo
     return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _boxes(vertices, faces):  # type: ignore[no-untyped-def]
     """Low and high corner (F, 6) of the box around each face in metres, and the edge of a cell for the search."""
     boxes = np.empty((len(faces), 6))
@@ -82,12 +82,12 @@ def _grid_of_cells(boxes: Float, cell: float) -> tuple[PointGrid, Int]:
     return grid, box[grid.order]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _cell_range(boxes, box, axis, cell):  # type: ignore[no-untyped-def]
     return range(math.floor(boxes[box, axis] / cell), math.floor(boxes[box, axis + 3] / cell) + 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _touched_cells(boxes, cell):  # type: ignore[no-untyped-def]
     cells: Float = np.empty((4 * len(boxes), 3))
     box_of: Int = np.empty(4 * len(boxes), np.int64)
@@ -105,7 +105,7 @@ def _touched_cells(boxes, cell):  # type: ignore[no-untyped-def]
     return cells[:size], box_of[:size]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _meets(boxes, cell, grid):  # type: ignore[no-untyped-def]
     """Mask (F,) of the boxes that touch a cell of the grid."""
     meets = np.zeros(len(boxes), np.bool_)
@@ -118,7 +118,7 @@ def _meets(boxes, cell, grid):  # type: ignore[no-untyped-def]
     return meets
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _crossing_pairs(  # type: ignore[no-untyped-def]
     vertices, faces, boxes, cell, among, grid, face, first_cell, last_cell
 ):
@@ -147,12 +147,12 @@ def _crossing_pairs(  # type: ignore[no-untyped-def]
     return pairs[:count]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _corners(faces, face):  # type: ignore[no-untyped-def]
     return faces[face, 0], faces[face, 1], faces[face, 2]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _boxes_apart(boxes, one, other):  # type: ignore[no-untyped-def]
     apart = False
     for axis in range(3):
@@ -160,7 +160,7 @@ def _boxes_apart(boxes, one, other):  # type: ignore[no-untyped-def]
     return apart
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _is_first_of_both(boxes, one, other, cell, place):  # type: ignore[no-untyped-def]
     """Whether the cell at a place is the first one that both boxes touch."""
     first = True
@@ -169,7 +169,7 @@ def _is_first_of_both(boxes, one, other, cell, place):  # type: ignore[no-untype
     return first
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def faces_cross(vertices, one, other):  # type: ignore[no-untyped-def]
     """Whether two faces (3,) cross or overlap by more than rounding; never if they share an edge or have no area.
 
@@ -210,7 +210,7 @@ def faces_cross(vertices, one, other):  # type: ignore[no-untyped-def]
     return min(end_one, end_other) - max(begin_one, begin_other) > touch
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _size(vertices, face):  # type: ignore[no-untyped-def]
     """The longer of two sides of a face, each along its longest axis."""
     size = 0.0
@@ -220,7 +220,7 @@ def _size(vertices, face):  # type: ignore[no-untyped-def]
     return size
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _unit(vector):  # type: ignore[no-untyped-def]
     """The vector at length 1; zero if it is zero."""
     x, y, z = vector
@@ -230,7 +230,7 @@ def _unit(vector):  # type: ignore[no-untyped-def]
     return x / length, y / length, z / length
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _heights(vertices, face, other, normal, touch):  # type: ignore[no-untyped-def]
     """How far the corners of a face are off the plane of the other; 0 within rounding and for shared vertices."""
     a, b, c = other[0], other[1], other[2]
@@ -244,7 +244,7 @@ def _heights(vertices, face, other, normal, touch):  # type: ignore[no-untyped-d
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _height(vertices, vertex, other, normal, x, y, z, touch):  # type: ignore[no-untyped-def]
     if vertex == other[0] or vertex == other[1] or vertex == other[2]:
         return 0.0
@@ -256,17 +256,17 @@ def _height(vertices, vertex, other, normal, x, y, z, touch):  # type: ignore[no
     return height if abs(height) > touch else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _is_zero(values):  # type: ignore[no-untyped-def]
     return values[0] == 0.0 and values[1] == 0.0 and values[2] == 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _on_one_side(height):  # type: ignore[no-untyped-def]
     return (height[0] > 0 and height[1] > 0 and height[2] > 0) or (height[0] < 0 and height[1] < 0 and height[2] < 0)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _piece(vertices, face, base, line, height):  # type: ignore[no-untyped-def]
     """Begin and end of what a face cuts from a line through its plane, along the line from the vertex `base`."""
     begin, end = np.inf, -np.inf
@@ -282,7 +282,7 @@ def _piece(vertices, face, base, line, height):  # type: ignore[no-untyped-def]
     return begin, end
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _along(vertices, vertex, base, line):  # type: ignore[no-untyped-def]
     return (
         (vertices[vertex, 0] - vertices[base, 0]) * line[0]
@@ -291,7 +291,7 @@ def _along(vertices, vertex, base, line):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _separates(vertices, face, other, area, touch):  # type: ignore[no-untyped-def]
     """Whether the upright plane through a side of the face has the face on one side and all of the other one beyond.
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -55,7 +55,7 @@ def point_grid(points: Float, *, cell: float) -> PointGrid:
     return PointGrid(points.take(order, axis=0), order, begin, cells, slots, origin, float(cell))
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _slot(i, j, k, slots):  # type: ignore[no-untyped-def]
     # By multiplication, of which the middle bits are the best mixed: Knuth, The Art of Computer Programming, vol. 3,
     # section 6.4; odd factors without a pattern, one an axis.
@@ -63,7 +63,7 @@ def _slot(i, j, k, slots):  # type: ignore[no-untyped-def]
     return (value >> 32) & (len(slots) - 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _number_cells(points, origin, cell):  # type: ignore[no-untyped-def]
     """The number (N,) of the cell of each point, in order of first occurrence, the cells (C, 3), and the table of them.
 
@@ -97,7 +97,7 @@ def _number_cells(points, origin, cell):  # type: ignore[no-untyped-def]
     return number, cells[:count].copy(), slots
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _table(cells, count, size):  # type: ignore[no-untyped-def]
     """A hash table of the first cells."""
     slots = np.full(size, -1, np.int32)
@@ -109,7 +109,7 @@ def _table(cells, count, size):  # type: ignore[no-untyped-def]
     return slots
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _sort_by_counting(number, count):  # type: ignore[no-untyped-def]
     """The order (N,) that sorts numbers below `count`, equal ones as they come, and where (count + 1,) each begins."""
     begin = np.zeros(count + 1, np.int64)
@@ -125,7 +125,7 @@ def _sort_by_counting(number, count):  # type: ignore[no-untyped-def]
     return order, begin
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def points_in_cell(grid, i, j, k):  # type: ignore[no-untyped-def]
     """Begin and end, in grid.points, of the points in the cell (i, j, k)."""
     slot = _slot(i, j, k, grid.slots)
@@ -137,7 +137,7 @@ def points_in_cell(grid, i, j, k):  # type: ignore[no-untyped-def]
     return 0, 0
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def cell_of(grid, x, y, z):  # type: ignore[no-untyped-def]
     """The cell of a place in metres."""
     return (
@@ -147,7 +147,7 @@ def cell_of(grid, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     """Whether a point lies within `distance` metres of the place (x, y, z)."""
     i, j, k = cell_of(grid, x, y, z)
@@ -168,7 +168,7 @@ def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def nearest_point(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     """Number, before sorting, of the point nearest to the place (x, y, z) within `distance` metres; -1 for none."""
     i, j, k = cell_of(grid, x, y, z)
@@ -183,7 +183,7 @@ def nearest_point(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     return nearest
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _nearer_in_cell(grid, i, j, k, x, y, z, nearest, least):  # type: ignore[no-untyped-def]
     """The point nearest to a place, and its squared distance: one of the cell (i, j, k), or the nearest before."""
     begin, end = points_in_cell(grid, i, j, k)
@@ -194,13 +194,13 @@ def _nearer_in_cell(grid, i, j, k, x, y, z, nearest, least):  # type: ignore[no-
     return nearest, least
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _squared_distance(grid, row, x, y, z):  # type: ignore[no-untyped-def]
     dx, dy, dz = grid.points[row, 0] - x, grid.points[row, 1] - y, grid.points[row, 2] - z
     return dx * dx + dy * dy + dz * dz
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _gap(grid, i, j, k, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance of a place from the cell (i, j, k), a little less for rounding."""
     low_x, low_y, low_z = grid.origin[0] + i * grid.cell, grid.origin[1] + j * grid.cell, grid.origin[2] + k * grid.cell

@@ -14,12 +14,12 @@ import math
 from functools import partial
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.chunks import in_chunks, taken
 from g2_recon.geometry.selection import select
+from g2_recon.kernels import kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -69,7 +69,7 @@ def point_tree(points: Float, rows: Int | None = None, *, workers: int = 1) -> P
     return PointTree(boxes, leaves, number)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _halve(points, number, boxes, level, until, depth, begin, end):  # type: ignore[no-untyped-def]
     """Make the boxes of the nodes from `begin` to before `end` of a level, and of those below down to above `until`.
 
@@ -99,14 +99,14 @@ def _halve(points, number, boxes, level, until, depth, begin, end):  # type: ign
         first, last = 2 * first, 2 * last
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill(points, leaves):  # type: ignore[no-untyped-def]
     for row in range(len(points)):
         for a in range(3):
             leaves[row // BLOCK, a, row % BLOCK] = points[row, a]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def nearest_to_block(tree, block, beyond, squared, places, found):  # type: ignore[no-untyped-def]
     """Find the k points nearest to each of a few places near each other (B, 3), of those nearer than the limit.
 
@@ -184,7 +184,7 @@ def nearest_to_block(tree, block, beyond, squared, places, found):  # type: igno
                 return
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _gap(boxes, node, low_x, low_y, low_z, high_x, high_y, high_z):  # type: ignore[no-untyped-def]
     """Squared distance of a box from a node."""
     dx = max(boxes[node, 0] - high_x, low_x - boxes[node, 3], 0.0)
@@ -202,7 +202,7 @@ def are_near(points: Float, others: Float, distance: float, workers: int) -> Mas
     return mask
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill_near(points, tree, distance, begin, end, mask):  # type: ignore[no-untyped-def]
     boxes, leaves, _ = tree
     leaf_count, squared = len(boxes) // 2, distance * distance

@@ -6,20 +6,21 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def wrap(angle: float) -> float:
     """The angle in rad brought into [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def compose(T_a_b: Float, T_b_c: Float) -> Float:
     """T_a_c."""
     cos, sin = math.cos(T_a_b[2]), math.sin(T_a_b[2])
@@ -30,7 +31,7 @@ def compose(T_a_b: Float, T_b_c: Float) -> Float:
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def relative(T_a_b: Float, T_a_c: Float) -> Float:
     """T_b_c."""
     cos, sin = math.cos(T_a_b[2]), math.sin(T_a_b[2])
@@ -42,26 +43,26 @@ def relative(T_a_b: Float, T_a_c: Float) -> Float:
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def inverse(T_a_b: Float) -> Float:
     """T_b_a."""
     return relative(T_a_b, np.zeros(3))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def is_within(change: Float, most: Float) -> bool:
     """Whether no component of a change (3,) is larger than allowed (3,)."""
     return bool(abs(change[0]) <= most[0] and abs(change[1]) <= most[1] and abs(change[2]) <= most[2])
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def carried(covariance: Float, x: float, y: float) -> Float:
     """Covariance (3, 3) of a pose that is rigidly connected, x, y away, to one with the given covariance (3, 3)."""
     lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
     return lever @ covariance @ lever.T
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def solve_3x3(A: Float, b: Float) -> Float:
     """X (3,) with A x = b, for a symmetric positive definite A (3, 3), by its Cholesky factors."""
     a = math.sqrt(A[0, 0])
@@ -79,7 +80,7 @@ def solve_3x3(A: Float, b: Float) -> Float:
     return x
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def inverse_3x3(A: Float) -> Float:
     """The inverse (3, 3) of a symmetric positive definite A (3, 3).
 
@@ -97,7 +98,7 @@ def inverse_3x3(A: Float) -> Float:
     return 0.5 * (inverted + inverted.T)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def weakest(A: Float) -> tuple[float, Float]:
     """The lesser eigenvalue of a symmetric A (2, 2), or of the upper left of a larger one, and its direction (2,)."""
     mean, half, b = 0.5 * (A[0, 0] + A[1, 1]), 0.5 * (A[0, 0] - A[1, 1]), A[0, 1]

@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-import numba
+from g2_recon.kernels import kernel
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def select(points, number, axis, begin, end, middle):  # type: ignore[no-untyped-def]
     """Order rows `begin` to `end` of points (N, 3), and number (N,) with them, in place, by their coordinate `axis`.
 

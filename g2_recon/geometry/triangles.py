@@ -6,9 +6,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from g2_recon.kernels import kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -16,7 +17,7 @@ Int = NDArray[np.int64]
 _NO_LENGTH = 1e-300  # below it a vector has no direction
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def area_vector(vertices, a, b, c):  # type: ignore[no-untyped-def]
     """Normal (x, y, z) of a triangle with vertices a, b, c, as long as twice its area, in m^2."""
     ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
@@ -46,7 +47,7 @@ def _contiguous(rows: NDArray[Any], dtype: type) -> NDArray[Any]:
     return np.ascontiguousarray(rows, dtype).reshape(-1, 3)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _area_vectors(vertices, faces):  # type: ignore[no-untyped-def]
     vectors = np.empty((len(faces), 3))
     for face in range(len(faces)):
@@ -56,7 +57,7 @@ def _area_vectors(vertices, faces):  # type: ignore[no-untyped-def]
     return vectors
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _vertex_sums(vectors, faces, count):  # type: ignore[no-untyped-def]
     """The sum (count, 3) over the faces at each vertex of a vector (F, 3) each."""
     sums = np.zeros((count, 3))

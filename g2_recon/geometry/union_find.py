@@ -8,18 +8,19 @@ depend on the order of the links.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from g2_recon.kernels import inner_kernel, kernel
 
-@numba.njit(cache=True, nogil=True)
+
+@kernel
 def link(parent, one, other):  # type: ignore[no-untyped-def]
     """Join the groups of two members; parent (N,) is changed in place."""
     first, second = _root(parent, one), _root(parent, other)
     parent[max(first, second)] = min(first, second)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def groups(parent):  # type: ignore[no-untyped-def]
     """The group (N,) of each member, numbered by first members, and the first member (G,) of each group."""
     group, first = np.empty(len(parent), np.int64), np.empty(len(parent), np.int64)
@@ -35,7 +36,7 @@ def groups(parent):  # type: ignore[no-untyped-def]
     return group, first[:count].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def linked(one, other, size):  # type: ignore[no-untyped-def]
     """The group (size,) of each member of what hangs together by links one (L,) to other (L,), and its first member."""
     parent = np.arange(size)
@@ -44,7 +45,7 @@ def linked(one, other, size):  # type: ignore[no-untyped-def]
     return groups(parent)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _root(parent, member):  # type: ignore[no-untyped-def]
     while parent[member] != member:
         parent[member] = parent[parent[member]]

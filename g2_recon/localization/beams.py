@@ -7,11 +7,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from g2_recon.geometry.scan import Scan
+from g2_recon.kernels import inner_kernel, kernel
 
 Float32 = NDArray[np.float32]
 
@@ -78,7 +78,7 @@ def beams(
     return Beams(points, surface_normals(points, kinds), kinds, first, abs(increment))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _points(ranges, near, far, first, increment, time_increment, twist):  # type: ignore[no-untyped-def]
     """Points (B, 2) and kinds (B,) of beams with the smallest bearing first; measurements are those of Scan.valid.
 
@@ -103,7 +103,7 @@ def _points(ranges, near, far, first, increment, time_increment, twist):  # type
     return points, kinds
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def surface_normals(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
     """Unit normals (B, 2) of points (B, 2) in order of bearing, towards the laser; zero where there is no surface.
 
@@ -121,7 +121,7 @@ def surface_normals(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
     return normals
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def normals_of_scans(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
     """The normals (N, B, 2) of scans, as `surface_normals` gave them when it gave them their kinds (N, B)."""
     normals = np.zeros(points.shape, np.float32)
@@ -130,7 +130,7 @@ def normals_of_scans(points: Float32, kinds: NDArray[np.uint8]) -> Float32:
     return normals
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _lay_lines(points, kinds, normals):  # type: ignore[no-untyped-def]
     """Write the normals (B, 2) of a scan where points lie on a line; which of them are INVALID is all of the kinds."""
     count = len(points)
@@ -164,7 +164,7 @@ def _lay_lines(points, kinds, normals):  # type: ignore[no-untyped-def]
         normals[i, 0], normals[i, 1] = towards * x, towards * y
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _on_sparse_wall(points, kinds, i):  # type: ignore[no-untyped-def]
     """Whether a beam lies on the line through two of its neighbors, however far apart they are."""
     for first in range(max(0, i - 2), min(i, len(points) - 3) + 1):
@@ -184,7 +184,7 @@ def _on_sparse_wall(points, kinds, i):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _continues(points, center, one, other, gap):  # type: ignore[no-untyped-def]
     """Whether beam `other`, next to beam `one`, belongs to the neighborhood of beam `center`."""
     if math.hypot(points[one, 0] - points[other, 0], points[one, 1] - points[other, 1]) > gap:

@@ -8,10 +8,10 @@ import math
 import zlib
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.kernels import inner_kernel, kernel
 from g2_recon.localization.likelihood import FULL
 
 Float = NDArray[np.float64]
@@ -67,7 +67,7 @@ def pyramid(points: Float, *, resolution: float, sigma: float) -> Pyramid:
     return Pyramid(levels, corner, resolution)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill(levels, points, corner, resolution, sigma):  # type: ignore[no-untyped-def]
     _, width, height = levels.shape
     for k in range(len(points)):
@@ -82,7 +82,7 @@ def _fill(levels, points, corner, resolution, sigma):  # type: ignore[no-untyped
     raise_maxima(levels)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def raise_maxima(levels):  # type: ignore[no-untyped-def]
     """Make each level (L, W, H) the maximum of level 0 over 2^l x 2^l cells from each cell on."""
     _, width, height = levels.shape
@@ -100,7 +100,7 @@ def raise_maxima(levels):  # type: ignore[no-untyped-def]
                 levels[level, a, b] = value
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _bound(levels, level, xs, ys, dx, dy):  # type: ignore[no-untyped-def]
     """At most this much do the points score anywhere in the 2^level cells from the offset on."""
     _, width, height = levels.shape
@@ -123,7 +123,7 @@ def _bound(levels, level, xs, ys, dx, dy):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def find(levels, corner, resolution, points, guess, window, turns, least):  # type: ignore[no-untyped-def]
     """The pose (3,) of points (N, 2) that scores best within +-window m of a guess and at the given turns (A,), rad.
 
@@ -192,7 +192,7 @@ def find(levels, corner, resolution, points, guess, window, turns, least):  # ty
     return found, best / (FULL * count)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def find_places(  # type: ignore[no-untyped-def]
     levels, free, corner, resolution, points, turns, least, share, near, most
 ):
@@ -278,7 +278,7 @@ def find_places(  # type: ignore[no-untyped-def]
     return poses, scores[:kept] / (FULL * count), whole
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _interesting(floor, share, scores, kept):  # type: ignore[no-untyped-def]
     """A pose has to score more than this to be kept."""
     least = floor
@@ -289,7 +289,7 @@ def _interesting(floor, share, scores, kept):  # type: ignore[no-untyped-def]
     return least
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _beaten(found, scores, kept, near, turns, a, level, x, y, bound):  # type: ignore[no-untyped-def]
     """Whether all poses of a block are neighbors of one that scores at least as well."""
     last = (1 << level) - 1
@@ -304,7 +304,7 @@ def _beaten(found, scores, kept, near, turns, a, level, x, y, bound):  # type: i
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _keep(found, scores, kept, near, turns, a, x, y, score):  # type: ignore[no-untyped-def]
     """Put a pose among those that were found, in place of its neighbors; how many there are then."""
     left = 0
@@ -325,7 +325,7 @@ def _keep(found, scores, kept, near, turns, a, x, y, score):  # type: ignore[no-
     return min(left + 1, len(scores))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def rival(levels, corner, resolution, points, pose, direction, reach):  # type: ignore[no-untyped-def]
     """The best score 1 m to `reach` m away along a direction (2,), as a share of the score at the pose.
 

@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.kernels import inner_kernel, kernel
 from g2_recon.localization.beams import CORNER, INVALID, SURFACE
 
 Float = NDArray[np.float64]
@@ -23,7 +24,7 @@ FULL = 255
 """Likelihood of a cell with a point in its middle."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def bell(resolution: float, sigma: float) -> Grid:
     """Likelihoods (5, 5) of the cells around a point in the middle one; resolution and sigma in m."""
     kernel = np.empty((5, 5), np.uint8)
@@ -34,7 +35,7 @@ def bell(resolution: float, sigma: float) -> Grid:
     return kernel
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def splat(grid, points, kinds, poses, x0, y0, resolution, kernel):  # type: ignore[no-untyped-def]
     """Draw scans (K, B, 2) at poses (K, 3) into the grid with corner x0, y0: the larger likelihood stays.
 
@@ -60,12 +61,12 @@ def splat(grid, points, kinds, poses, x0, y0, resolution, kernel):  # type: igno
     return np.array([left, max(left, right), bottom, max(bottom, top)])
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _widened(box, reach, shape):  # type: ignore[no-untyped-def]
     return max(0, box[0] - reach), min(shape[0], box[1] + reach), max(0, box[2] - reach), min(shape[1], box[3] + reach)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def clear(grid, box, reach):  # type: ignore[no-untyped-def]
     """Set the cells in a box (4,), as of `splat`, and up to `reach` beside it to 0."""
     left, right, bottom, top = _widened(box, reach, grid.shape)
@@ -73,7 +74,7 @@ def clear(grid, box, reach):  # type: ignore[no-untyped-def]
         grid[x, bottom:top] = 0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def score(grid, points, kinds, pose, x0, y0, resolution):  # type: ignore[no-untyped-def]
     """Mean likelihood, 0 to 1, of the points of a scan at a pose."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -97,7 +98,7 @@ def _raise(row, other, count):  # type: ignore[no-untyped-def]
         row[k] = one if one > two else two
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def widen(grid, box, reach, wide):  # type: ignore[no-untyped-def]
     """Fill `wide` with the largest likelihood within +-reach cells of each cell of the grid.
 
@@ -119,7 +120,7 @@ def widen(grid, box, reach, wide):  # type: ignore[no-untyped-def]
             _raise(widened[step:], row, count - step)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def search(  # type: ignore[no-untyped-def]
     grid, wide, points, kinds, guess, x0, y0, resolution, turns, turn, shifts, step
 ):
@@ -169,7 +170,7 @@ def search(  # type: ignore[no-untyped-def]
     return found, best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def climb(grid, points, kinds, start, x0, y0, resolution, turn, rounds):  # type: ignore[no-untyped-def]
     """The pose near a start that scores best: steps of half a cell and half a turn, halved in each round."""
     best = start.copy()
@@ -188,7 +189,7 @@ def climb(grid, points, kinds, start, x0, y0, resolution, turn, rounds):  # type
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def slide(  # type: ignore[no-untyped-def]
     grid, points, kinds, pose, direction, reach, step, expected, away, x0, y0, resolution
 ):
@@ -216,7 +217,7 @@ def slide(  # type: ignore[no-untyped-def]
     return off, highest - lowest
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def telling(points, normals, kinds, increment, direction, dense, steep):  # type: ignore[no-untyped-def]
     """The kinds (N,) of the beams that can tell how far a scan is along a direction (2,) in it, INVALID for the others.
 

@@ -11,7 +11,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
@@ -23,6 +22,7 @@ from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.se2_kernels import compose, inverse_3x3, is_within, relative
 from g2_recon.geometry.session import LastScan, ScanPoses, Session, SessionGrowth
 from g2_recon.geometry.trajectory import Trajectory
+from g2_recon.kernels import kernel
 from g2_recon.localization import refinement
 from g2_recon.localization.beams import SURFACE, Beams, beams
 from g2_recon.localization.keyframes import Keyframes
@@ -563,7 +563,7 @@ def _close_more_loops(loops: LoopCloser, new: int | None, progress: Progress) ->
     loops.optimize()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _velocity(step, elapsed):  # type: ignore[no-untyped-def]
     """A step (3,) a second, m/s and rad/s; 0 where the time is no help: equal, backward or far apart stamps."""
     velocity = np.zeros(3)

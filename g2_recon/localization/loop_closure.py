@@ -13,12 +13,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
+from g2_recon.kernels import kernel
 from g2_recon.localization import branch_and_bound, pose_graph
 from g2_recon.localization.beams import CORNER, INVALID
 from g2_recon.localization.branch_and_bound import Ground, Pyramid
@@ -453,7 +453,7 @@ def _doubted(squared: Float, robust: NDArray[np.bool_]) -> Float:
     return np.where(robust, (_KERNEL / (_KERNEL + squared)) ** 2, 1.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _shortest_ways(ways, first, second, c):  # type: ignore[no-untyped-def]
     """Shortest way (C,) in m from local map c to the earlier ones, of which ways (C,) m had been driven, over loops.
 
@@ -481,7 +481,7 @@ def _shortest_ways(ways, first, second, c):  # type: ignore[no-untyped-def]
     return far
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _points_from(first, last, base, farthest, poses, points, kinds):  # type: ignore[no-untyped-def]
     cloud = np.empty(((last - first) * kinds.shape[1], 2))
     count = 0
@@ -497,7 +497,7 @@ def _points_from(first, last, base, farthest, poses, points, kinds):  # type: ig
     return cloud[:count]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def register(  # type: ignore[no-untyped-def]
     start, moving, T_group_moving, fixed, poses, points, normals, kinds, firsts, increments, step
 ):
@@ -549,7 +549,7 @@ def register(  # type: ignore[no-untyped-def]
     return pose, inliers / seen, hessian, same, against
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _near(keyframes, poses, at):  # type: ignore[no-untyped-def]
     """Those of the keyframes that are close enough to a pose (3,) to be compared with one there."""
     near = np.empty(len(keyframes), np.int64)

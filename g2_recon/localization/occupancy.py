@@ -7,12 +7,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.occupancy_grid import FREE, MOST_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
+from g2_recon.kernels import kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -179,7 +179,7 @@ class GridBuilder:
         return grown
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _beams(laser, bearings, ranges, range_min, range_max, max_range, free_range, resolution):  # type: ignore[no-untyped-def]
     """Of the beams that say something: start (2,) and ends (B, 2), row and column, and whether something is there."""
     start = np.array([laser[1] / resolution, laser[0] / resolution])
@@ -199,7 +199,7 @@ def _beams(laser, bearings, ranges, range_min, range_max, max_range, free_range,
     return start, ends[:count], hits[:count]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _bounds(start, ends):  # type: ignore[no-untyped-def]
     """The least and the greatest row and column, (2,) each, of cells; NaN and infinity, too far for any, stay."""
     least, greatest = start.copy(), start.copy()
@@ -209,7 +209,7 @@ def _bounds(start, ends):  # type: ignore[no-untyped-def]
     return np.floor(least), np.floor(greatest)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _are_there(tiles, corner, lowest, highest, low, high):  # type: ignore[no-untyped-def]
     """Whether cells from low to high (2,) lie between those that there are and have tiles."""
     for axis in range(2):
@@ -222,7 +222,7 @@ def _are_there(tiles, corner, lowest, highest, low, high):  # type: ignore[no-un
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def count_scan(counts, tiles, corner, scan, start, ends, hits):  # type: ignore[no-untyped-def]
     """Count one scan in all cells that its beams end in or cross, once in each.
 
@@ -261,7 +261,7 @@ def count_scan(counts, tiles, corner, scan, start, ends, hits):  # type: ignore[
             _count(counts, tiles, row - top, column - left, scan, _PASSES)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _count(counts, tiles, row, column, scan, what):  # type: ignore[no-untyped-def]
     # Unsigned, so that nothing looks whether an index counts from the end: a third of the time.
     tile = np.uint64(tiles[np.uint64(row >> _TILE_BITS), np.uint64(column >> _TILE_BITS)])
@@ -271,7 +271,7 @@ def _count(counts, tiles, row, column, scan, what):  # type: ignore[no-untyped-d
         counts[tile, i, j, what] += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _decide(cells, low, counts, tiles, corner, occupied_share, fewest_scans):  # type: ignore[no-untyped-def]
     """Fill cells (H, W), of which the first is the cell `low` (2,), with what the counts say."""
     for row in range(cells.shape[0]):

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.se2_kernels import inverse, relative, solve_3x3, wrap
+from g2_recon.kernels import inner_kernel, kernel
 from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, SURFACE
 
 Float = NDArray[np.float64]
@@ -49,7 +50,7 @@ _TINY = _F(1e-9)
 _FAR = _F(1e18)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def picked(points, normals, kinds, these, step):  # type: ignore[no-untyped-def]
     """Every `step`-th beam, if it is of one of the kinds: x, y, nx, ny as rows of (4, N)."""
     rows = np.empty((4, (len(points) + step - 1) // step), np.float32)
@@ -62,7 +63,7 @@ def picked(points, normals, kinds, these, step):  # type: ignore[no-untyped-def]
     return rows[:, :count]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@inner_kernel(fastmath=True, error_model="numpy")
 def _project(T_b_a, rows, first, increment, distance, share, at, where):  # type: ignore[no-untyped-def]
     """Where points x, y of a scan a appear in a scan b.
 
@@ -102,7 +103,7 @@ def _squared_distance(points, kinds, beam, x, y, kind):  # type: ignore[no-untyp
     return squared if kinds[beam] & kind else _FAR
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _search(points, kinds, increment, kind, at, where, partners):  # type: ignore[no-untyped-def]
     """For points that were projected into a scan, the nearest of its beams of the kinds."""
     turn = int(2 * math.pi / increment + 0.5)
@@ -155,13 +156,13 @@ def _search(points, kinds, increment, kind, at, where, partners):  # type: ignor
         partners[i] = found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def room(count: int):  # type: ignore[no-untyped-def]
     """Working memory for `partners` and `accumulate` of up to so many beams."""
     return np.empty((4, count), np.float32), np.empty((2, count), np.int32), np.empty(count, np.int32)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def partners(  # type: ignore[no-untyped-def]
     T_b_a, rows, points, kinds, first, increment, distance, share, kind, memory
 ):
@@ -177,7 +178,7 @@ def partners(  # type: ignore[no-untyped-def]
     return found
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@inner_kernel(fastmath=True, error_model="numpy")
 def _sum(T_b_a, rows, at, found, points, normals, sigma, backwards, hessian, gradient):  # type: ignore[no-untyped-def]
     cos, sin = _F(math.cos(T_b_a[2])), _F(math.sin(T_b_a[2]))
     tx, ty = _F(T_b_a[0]), _F(T_b_a[1])
@@ -236,13 +237,13 @@ def _sum(T_b_a, rows, at, found, points, normals, sigma, backwards, hessian, gra
     return inliers, seen
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def parted(points, normals, kinds, loose, step):  # type: ignore[no-untyped-def]
     """Beams on surfaces, and loose ones of the kinds given, as two tables; see `picked`."""
     return picked(points, normals, kinds, SURFACE, step), picked(points, normals, kinds, loose, step)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@inner_kernel(fastmath=True, error_model="numpy")
 def _sum_loose(T_b_a, rows, at, found, points, sigma, increment, backwards, hessian, gradient):  # type: ignore[no-untyped-def]
     """`_sum` for points on no surface: the residual is the way to the partner.
 
@@ -286,7 +287,7 @@ def _sum_loose(T_b_a, rows, at, found, points, sigma, increment, backwards, hess
     gradient[2] += g2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def accumulate(  # type: ignore[no-untyped-def]
     T_b_a, rows, points, normals, kinds, first, increment, distance, sigma, backwards, hessian, gradient, memory, loose
 ):
@@ -306,7 +307,7 @@ def accumulate(  # type: ignore[no-untyped-def]
     return _sum(T_b_a, on_surfaces, memory[0], found, points, normals, sigma, backwards, hessian, gradient)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigma, loose, step):  # type: ignore[no-untyped-def]
     """What keyframes i and j say about T_j_i, each scan laid on the other: hessian, gradient, inliers, seen.
 
@@ -317,7 +318,7 @@ def pair(T_j_i, i, j, points, normals, kinds, firsts, increments, distance, sigm
     return pair_of(T_j_i, i, rows, j, points, normals, kinds, firsts, increments, distance, sigma, loose, step, memory)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def pair_of(  # type: ignore[no-untyped-def]
     T_j_i, i, rows, j, points, normals, kinds, firsts, increments, distance, sigma, loose, step, memory
 ):
@@ -336,7 +337,7 @@ def pair_of(  # type: ignore[no-untyped-def]
     return hessian, gradient, inliers + more, seen + seen_back
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def pairs(poses, first, second, points, normals, kinds, firsts, increments, distance, sigma, loose, step):  # type: ignore[no-untyped-def]
     """`pair` for many: T_j_i (M, 3) of keyframes i = first, j = second, hessians (M, 3, 3), gradients, counts.
 
@@ -354,7 +355,7 @@ def pairs(poses, first, second, points, normals, kinds, firsts, increments, dist
     return T, hessians, gradients, counts
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def add_turned(hessian, gradient, yaw, total, pull):  # type: ignore[no-untyped-def]
     """Add hessian (3, 3) and gradient (3,) of a step in a frame turned by yaw to those of a step in the parent's."""
     c, s = math.cos(yaw), math.sin(yaw)
@@ -374,7 +375,7 @@ def add_turned(hessian, gradient, yaw, total, pull):  # type: ignore[no-untyped-
     pull[2] += gradient[2]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def add_levered(one, pull, x, y, hessian, gradient):  # type: ignore[no-untyped-def]
     """Add hessian (3, 3) and gradient (3,) of a step at x, y from the origin to those of a step of the origin."""
     # d(step there) / d(step here) = [[1, 0, -y], [0, 1, x], [0, 0, 1]].
@@ -395,7 +396,7 @@ def add_levered(one, pull, x, y, hessian, gradient):  # type: ignore[no-untyped-
     gradient[2] += pull[2] - y * pull[0] + x * pull[1]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def lay(  # type: ignore[no-untyped-def]
     pose,
     rows,
@@ -428,7 +429,7 @@ def lay(  # type: ignore[no-untyped-def]
     return inliers, seen
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def match(  # type: ignore[no-untyped-def]
     start, guess, scan_points, scan_normals, scan_kinds, references, poses, points, normals, kinds, firsts, increments,
     max_distance, min_distance, max_sigma, min_sigma, iterations, prior,
@@ -490,7 +491,7 @@ def match(  # type: ignore[no-untyped-def]
 _SAME_PLACE_M, _SAME_PLACE_SHARE = 0.15, 0.02
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def agreement(T_b_a, rows, points, kinds, first, increment, memory):  # type: ignore[no-untyped-def]
     """How many points of a scan (rows: see `picked`) b sees, too, and how many lie where b looked through.
 
@@ -519,7 +520,7 @@ def agreement(T_b_a, rows, points, kinds, first, increment, memory):  # type: ig
     return same, against
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def agreements_each_way(  # type: ignore[no-untyped-def]
     pose, scan_points, scan_normals, scan_kinds, first, increment,
     references, poses, points, normals, kinds, firsts, increments, step,
@@ -539,7 +540,7 @@ def agreements_each_way(  # type: ignore[no-untyped-def]
     return same, against, still, gone
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def agreements(  # type: ignore[no-untyped-def]
     pose, scan_points, scan_normals, scan_kinds, first, increment,
     references, poses, points, normals, kinds, firsts, increments, step,

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
+
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ class PointMap:
         return self._local[np.minimum(index, len(self._local) - 1)], distance
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def first_in_each_cell(points, size):  # type: ignore[no-untyped-def]
     """Indices, in order, of the first of the points (N, 2) in each square cell of `size` metres."""
     first, found = np.empty(len(points), np.int64), 0
@@ -84,7 +85,7 @@ def first_in_each_cell(points, size):  # type: ignore[no-untyped-def]
     return first[:found].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def map_of_keyframes(poses, points, kinds, spacing):  # type: ignore[no-untyped-def]
     """The points (N, 2) of keyframes at T_map_laser (K, 3), whose beams are (K, B, 2) and (K, B), thinned to a spacing.
 
@@ -111,13 +112,13 @@ def map_of_keyframes(poses, points, kinds, spacing):  # type: ignore[no-untyped-
     return thinned[:found].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _cell(x, y, size):  # type: ignore[no-untyped-def]
     """One number for the cell of a point; it is unique up to 2^31 cells from the origin."""
     return (math.floor(x / size) << 32) ^ (math.floor(y / size) & 0xFFFFFFFF)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _taken(table, count, cell):  # type: ignore[no-untyped-def]
     """Whether a cell is new in a table that holds so many, and the table with it, which may be a larger one."""
     place = _place(table, cell)
@@ -133,7 +134,7 @@ def _taken(table, count, cell):  # type: ignore[no-untyped-def]
     return True, larger
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _place(table, cell):  # type: ignore[no-untyped-def]
     """Where a cell is in a table, or would have to be."""
     last = len(table) - 1

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import relative, wrap
+from g2_recon.kernels import kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -65,7 +65,7 @@ def at_poses(poses: Float, edges: Edges) -> Edges:
     return Edges(edges.first, edges.second, T, edges.hessians, gradients)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _moved(poses, first, second, T, hessians, gradients):  # type: ignore[no-untyped-def]
     """T_j_i (M, 3) at poses (N, 3), and what the gradients (M, 3) at T are there."""
     now, there = np.empty_like(T), gradients.copy()
@@ -81,7 +81,7 @@ def _moved(poses, first, second, T, hessians, gradients):  # type: ignore[no-unt
     return now, there
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _differentiate(T_j_i, yaw, J):  # type: ignore[no-untyped-def]
     """Derivative J (3, 6) of T_j_i by the poses of i and of j, whose yaw is given."""
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -91,7 +91,7 @@ def _differentiate(T_j_i, yaw, J):  # type: ignore[no-untyped-def]
     J[2, 2], J[2, 5] = 1.0, -1.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def linearize(poses, first, second, T, hessians, gradients, weights):  # type: ignore[no-untyped-def]
     """Blocks (M, 6, 6) and (M, 6) of the normal equations for i then j, and squared deviations (M,) d^T H d."""
     count = len(first)
@@ -187,7 +187,7 @@ def _factorized(poses: Float, edges: Edges, weights: Float, held: int) -> tuple[
     return factors, np.asarray(right, float), squared
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def solve_window(poses, start, first, second, T, hessians, gradients, rounds):  # type: ignore[no-untyped-def]
     """Gauss-Newton on the poses from `start` on, dense, all earlier ones held; edges wholly before it do not count.
 

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import wrap
+from g2_recon.kernels import kernel
 from g2_recon.localization import pairing, pose_graph
 from g2_recon.localization.beams import CORNER, LOOSE
 from g2_recon.localization.keyframes import Arrays, Keyframes
@@ -152,7 +153,7 @@ def neighbors(poses: Float, ways: Float) -> tuple[Int, Int]:
     return np.concatenate([*first, later[picked]]), np.concatenate([*second, earlier[picked]])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _spread(later, earlier, most, apart):  # type: ignore[no-untyped-def]
     """Mask of at most `most` pairs for each `later`, in order, whose earlier ones are more than `apart` apart."""
     picked = np.zeros(len(later), np.bool_)
@@ -175,7 +176,7 @@ def _spread(later, earlier, most, apart):  # type: ignore[no-untyped-def]
     return picked
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def place(  # type: ignore[no-untyped-def]
     guesses, owners, near, scan_points, scan_normals, scan_kinds, poses, points, normals, kinds, firsts, increments
 ):

@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2
 from g2_recon.geometry.se2_kernels import compose, relative, solve_3x3, wrap
+from g2_recon.kernels import kernel
 from g2_recon.localization import branch_and_bound, likelihood
 from g2_recon.localization.beams import ANY_KIND, CORNER, INVALID, Beams
 from g2_recon.localization.keyframes import Keyframes
@@ -278,7 +278,7 @@ def _same(one: Float, other: Float) -> bool:
     return math.hypot(off[0], off[1]) < _SAME_M and abs(off[2]) < _SAME_RAD
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _mark_free(blocks, poses, points, kinds, corner, size, step):  # type: ignore[no-untyped-def]
     """Mark the blocks (W, H) of `size` m in which lasers were and through which their beams went."""
     width, height = blocks.shape
@@ -297,7 +297,7 @@ def _mark_free(blocks, poses, points, kinds, corner, size, step):  # type: ignor
                     blocks[u, v] = 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def most_overlap(  # type: ignore[no-untyped-def]
     pose,
     scan_points,
@@ -324,7 +324,7 @@ def most_overlap(  # type: ignore[no-untyped-def]
     return asked[order[: np.count_nonzero(seen)]]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def lay_group(  # type: ignore[no-untyped-def]
     start, group, scan_points, scan_normals, scan_kinds, scan_firsts, scan_increments,
     references, poses, points, normals, kinds, firsts, increments,
@@ -369,7 +369,7 @@ def lay_group(  # type: ignore[no-untyped-def]
     return pose, hessian, inliers / max(1, seen)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def judge_group(  # type: ignore[no-untyped-def]
     pose, group, scan_points, scan_normals, scan_kinds, scan_firsts, scan_increments,
     references, poses, points, normals, kinds, firsts, increments,

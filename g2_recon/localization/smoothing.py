@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.se2_kernels import relative
+from g2_recon.kernels import inner_kernel, kernel
 from g2_recon.localization import pose_graph
 from g2_recon.localization.beams import CORNER
 from g2_recon.localization.keyframes import Keyframes
@@ -130,7 +130,7 @@ class _Rows:
         return self.between(row, self.end)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _lay_on_earlier(  # type: ignore[no-untyped-def]
     first, second, T, hessians, gradients, i, segment, wheels, poses, points, normals, kinds, firsts, increments
 ):
@@ -158,7 +158,7 @@ def _lay_on_earlier(  # type: ignore[no-untyped-def]
     return count + 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _put(row, T_j_i, hessian, gradient, T, hessians, gradients):  # type: ignore[no-untyped-def]
     """Write an edge number by number; see se2_kernels.inverse_3x3."""
     for u in range(3):
@@ -167,7 +167,7 @@ def _put(row, T_j_i, hessian, gradient, T, hessians, gradients):  # type: ignore
             hessians[row, u, v] = hessian[u, v]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _wheel_information(step):  # type: ignore[no-untyped-def]
     way, turn = math.hypot(step[0], step[1]), abs(step[2])
     information = np.zeros((3, 3))

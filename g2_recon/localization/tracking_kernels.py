@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from g2_recon.geometry.se2_kernels import is_within, relative
+from g2_recon.kernels import kernel
 from g2_recon.localization.likelihood import slide, telling
 from g2_recon.localization.pairing import PAIR_SIGMA_M, agreements, match
 
@@ -30,7 +30,7 @@ _SLID_SIGMA_M, _LEAST_CONTRAST = 0.02, 0.08
 _DENSE_M, _ALONG = 0.1, 0.5
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def wheel_sigma(step):  # type: ignore[no-untyped-def]
     """Sigma (3,) of what the wheels say of a step (3,)."""
     way, turn = math.hypot(step[0], step[1]), abs(step[2])
@@ -40,13 +40,13 @@ def wheel_sigma(step):  # type: ignore[no-untyped-def]
     return sigma
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def is_near(pose, guess, most, times):  # type: ignore[no-untyped-def]
     """Whether a pose (3,) is no farther from a guess than so many times `most` (3,), m and rad."""
     return is_within(relative(guess, pose), times * most)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def match_on_latest(  # type: ignore[no-untyped-def]
     start, guess, sigma, pair_sigma, iterations, scan_points, scan_normals, scan_kinds, first, increment,
     spans, segment, poses, points, normals, kinds, firsts, increments,
@@ -77,7 +77,7 @@ def match_on_latest(  # type: ignore[no-untyped-def]
     return pose, inliers, hessian, information, same, same / max(1, same + 2 * against)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def slid(pose, information, held, weak, guess, away, points, normals, kinds, increment, grid, x0, y0):  # type: ignore[no-untyped-def]
     """Pose (3,) and information (3, 3) after sliding along `weak` (2,), which surfaces hold by `held` beams.
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 import math
 from array import array
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.se2_kernels import carried, compose, inverse_3x3, relative, solve_3x3, weakest
+from g2_recon.kernels import inner_kernel, kernel
 from g2_recon.localization import pose_graph
 from g2_recon.localization.keyframes import Keyframes
 from g2_recon.localization.pairing import add_turned
@@ -154,13 +154,13 @@ class Uncertainty:
         return np.asarray(_of_match(self.covariance, self._keyframes.poses[-1], pose, information))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _of_match(covariance, latest, pose, information):  # type: ignore[no-untyped-def]
     """Of the match, and of the keyframe as if the pose were rigidly connected to it."""
     return carried(covariance, pose[0] - latest[0], pose[1] - latest[1]) + inverse_3x3(information)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _learn_wheels(driven, first, last, variance):  # type: ignore[no-untyped-def]
     """Lead the variance (3,) of wheels, a m of way, to how far their steps (M, 7) come from the way between two poses.
 
@@ -176,7 +176,7 @@ def _learn_wheels(driven, first, last, variance):  # type: ignore[no-untyped-def
         variance[u] += driven[:, 4 + u].min() * (squared - variance[u]) / _WHEEL_MEMORY
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _learned(variance, count, hessians, gradients, counting):  # type: ignore[no-untyped-def]
     """The running mean of the squares, a degree of freedom, of what the counting edges (M,) want otherwise.
 
@@ -190,7 +190,7 @@ def _learned(variance, count, hessians, gradients, counting):  # type: ignore[no
     return variance, count
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _mean_seen_from_first(hessians, yaws):  # type: ignore[no-untyped-def]
     """Mean (3, 3) of hessians (M, 3, 3) of edges T_j_i with yaws (M,), turned from the frames of j to that of i."""
     total, unused = np.zeros((3, 3)), np.zeros(3)
@@ -199,7 +199,7 @@ def _mean_seen_from_first(hessians, yaws):  # type: ignore[no-untyped-def]
     return total / len(yaws)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _added(hessians, yaws, otherwise, variance):  # type: ignore[no-untyped-def]
     """Covariance (3, 3) of a step that edges T_j_i with hessians (M, 3, 3) and yaws (M,) of one i hold, in frame i.
 
@@ -228,14 +228,14 @@ def _added(hessians, yaws, otherwise, variance):  # type: ignore[no-untyped-def]
     return covariance, shares
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _rotated(covariance, yaw):  # type: ignore[no-untyped-def]
     cos, sin = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return turn @ covariance @ turn.T
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _led_on(covariance, before, after, step):  # type: ignore[no-untyped-def]
     """The covariance (3, 3) of a pose (3,) as that of the one after it, with what the step between them adds there."""
     return carried(covariance, after[0] - before[0], after[1] - before[1]) + _rotated(step, after[2])

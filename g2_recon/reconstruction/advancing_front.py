@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +20,7 @@ from g2_recon.geometry.edges import edges_of, half_edge_numbers
 from g2_recon.geometry.intersections import faces_cross
 from g2_recon.geometry.point_grid import PointGrid, cell_of, point_grid, points_in_cell
 from g2_recon.geometry.triangles import area_vector
+from g2_recon.kernels import inner_kernel, kernel
 from g2_recon.reconstruction.support import triangle_supported
 
 Float = NDArray[np.float64]
@@ -131,7 +131,7 @@ def _tangent_axes(normals: Float) -> Float:
     return np.ascontiguousarray(np.stack([first, np.cross(normals, first)], axis=1))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _surface(vertices, normals, axes, faces):  # type: ignore[no-untyped-def]
     count = len(vertices)
     room = len(faces) + count // 2 + 8
@@ -155,7 +155,7 @@ def _surface(vertices, normals, axes, faces):  # type: ignore[no-untyped-def]
     return surface
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _with_room(surface):  # type: ignore[no-untyped-def]
     """The surface, with arrays of twice the size if no further face has room."""
     if surface.used[0] < len(surface.faces):
@@ -177,7 +177,7 @@ def _with_room(surface):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _add_face(surface, a, b, c):  # type: ignore[no-untyped-def]
     face = surface.used[0]
     surface.used[0] += 1
@@ -200,7 +200,7 @@ def _add_face(surface, a, b, c):  # type: ignore[no-untyped-def]
         surface.first[vertex] = number
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _face_at(surface, begin, end):  # type: ignore[no-untyped-def]
     """The face with the half-edge from begin to end, or -1."""
     corner = surface.first[begin]
@@ -212,19 +212,19 @@ def _face_at(surface, begin, end):  # type: ignore[no-untyped-def]
     return -1
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _is_border(surface, vertex):  # type: ignore[no-untyped-def]
     return surface.first[vertex] < 0 or surface.open_edges[vertex] > 0
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _sector(surface, vertex, after, before):  # type: ignore[no-untyped-def]
     """Start and width, in rad counterclockwise in the tangent plane, of the corner between two neighbors."""
     start = _direction(surface, vertex, after)
     return start, (_direction(surface, vertex, before) - start) % _FULL_TURN
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _direction(surface, vertex, neighbor):  # type: ignore[no-untyped-def]
     x, y = 0.0, 0.0
     for axis in range(3):
@@ -234,7 +234,7 @@ def _direction(surface, vertex, neighbor):  # type: ignore[no-untyped-def]
     return math.atan2(y, x)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _sector_is_free(surface, vertex, after, before):  # type: ignore[no-untyped-def]
     """Whether a new corner at the vertex covers no part of the tangent plane that a face covers already."""
     start, width = _sector(surface, vertex, after, before)
@@ -250,7 +250,7 @@ def _sector_is_free(surface, vertex, after, before):  # type: ignore[no-untyped-
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _distance(vertices, one, other):  # type: ignore[no-untyped-def]
     x = vertices[one, 0] - vertices[other, 0]
     y = vertices[one, 1] - vertices[other, 1]
@@ -258,7 +258,7 @@ def _distance(vertices, one, other):  # type: ignore[no-untyped-def]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _cost(surface, a, b, c, folded_to, reach, spacing):  # type: ignore[no-untyped-def]
     """Circumradius plus a share of the spacing for turning away from the normals, in m; infinite where not allowed.
 
@@ -286,7 +286,7 @@ def _cost(surface, a, b, c, folded_to, reach, spacing):  # type: ignore[no-untyp
     return ab * bc * ca / (2.0 * double_area) + _TURN_COST * spacing * (1.0 - agreement)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _fits(surface, a, b, c):  # type: ignore[no-untyped-def]
     """Whether the face (a, b, c) has its three half-edges free and ends at a border."""
     return (
@@ -297,7 +297,7 @@ def _fits(surface, a, b, c):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _ask(surface, heap, lookup, a, b, reach, spacing):  # type: ignore[no-untyped-def]
     """Put on the heap what the free half-edge from a to b, opposite to a face, can get."""
     face = surface.faces[_face_at(surface, b, a)]
@@ -327,7 +327,7 @@ def _ask(surface, heap, lookup, a, b, reach, spacing):  # type: ignore[no-untype
     return heap
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _crosses_surface(surface, lookup, a, b, c, longest):  # type: ignore[no-untyped-def]
     """Whether the face (a, b, c) would cross one that is there; longest: m, side of any face."""
     vertices = surface.vertices
@@ -363,7 +363,7 @@ def _crosses_surface(surface, lookup, a, b, c, longest):  # type: ignore[no-unty
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _box_within(vertices, a, b, reach):  # type: ignore[no-untyped-def]
     """Low and high corner of a box around all that is within reach of both vertices."""
     return (
@@ -380,7 +380,7 @@ def _box_within(vertices, a, b, reach):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _in_box(points, row, low, high, margin):  # type: ignore[no-untyped-def]
     """Whether a point is in the box or at most the margin outside of it along an axis."""
     inside = True
@@ -389,7 +389,7 @@ def _in_box(points, row, low, high, margin):  # type: ignore[no-untyped-def]
     return inside
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _meets_box(vertices, face, low, high):  # type: ignore[no-untyped-def]
     """Whether the box around a face meets another one."""
     a, b, c = face
@@ -401,7 +401,7 @@ def _meets_box(vertices, face, low, high):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _advance(surface, lookup, grid, reach, spacing, support_distance):  # type: ignore[no-untyped-def]
     """All faces after the front has come to rest, the given ones first."""
     longest = max(reach, surface.longest.max())
@@ -432,7 +432,7 @@ def _advance(surface, lookup, grid, reach, spacing, support_distance):  # type: 
     return surface.faces[: surface.used[0]].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _before(heap, one, other):  # type: ignore[no-untyped-def]
     if heap.cost[one] != heap.cost[other]:
         return heap.cost[one] < heap.cost[other]
@@ -442,7 +442,7 @@ def _before(heap, one, other):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _swap(heap, one, other):  # type: ignore[no-untyped-def]
     heap.cost[one], heap.cost[other] = heap.cost[other], heap.cost[one]
     for corner in range(3):
@@ -451,7 +451,7 @@ def _swap(heap, one, other):  # type: ignore[no-untyped-def]
         heap.triangle[other, corner] = kept
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _push(heap, cost, a, b, c):  # type: ignore[no-untyped-def]
     if heap.size[0] == len(heap.cost):
         heap = _Heap(
@@ -469,7 +469,7 @@ def _push(heap, cost, a, b, c):  # type: ignore[no-untyped-def]
     return heap
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _pop(heap):  # type: ignore[no-untyped-def]
     """Remove the cheapest triangle."""
     a, b, c = heap.triangle[0, 0], heap.triangle[0, 1], heap.triangle[0, 2]

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from g2_recon.kernels import inner_kernel, kernel
 
 # A final neighborhood of one lattice step would shrink each map by about a cell.
 _WIDTH_END = 0.35
@@ -30,7 +31,7 @@ _LARGEST = np.float32(3e38)
 _FAR_OFF = np.float32(1e15)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def train_sheet(x, y, z, weights, neurons, rows, columns, hexagonal, epochs, bmu):  # type: ignore[no-untyped-def]
     """Train a map with points x, y, z (N,) of `weights` (N,), N >= 1; neurons (n, 3) are changed in place.
 
@@ -61,7 +62,7 @@ def train_sheet(x, y, z, weights, neurons, rows, columns, hexagonal, epochs, bmu
         bmu[order[k]] = nearest[k]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _by_tiles(x, y, tiles):  # type: ignore[no-untyped-def]
     """An order (N,) of the points in which those of a tile follow each other, and where each tile begins (T + 1,)."""
     tiles_x, tiles_y = tiles
@@ -84,7 +85,7 @@ def _by_tiles(x, y, tiles):  # type: ignore[no-untyped-def]
     return order, begin
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _boxes(points, begin):  # type: ignore[no-untyped-def]
     """Lowest and highest coordinates (T, 2, 3) of the points of each tile; of an empty one, none at all."""
     boxes = np.empty((len(begin) - 1, 2, 3), np.float32)
@@ -97,7 +98,7 @@ def _boxes(points, begin):  # type: ignore[no-untyped-def]
     return boxes
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _search(points, begin, boxes, neurons, rows, columns, tiles, bmu):  # type: ignore[no-untyped-def]
     """The best matching unit (N,) of each of the points (3, N)."""
     count = len(neurons)
@@ -116,7 +117,7 @@ def _search(points, begin, boxes, neurons, rows, columns, tiles, bmu):  # type: 
             _nearest(points, begin[tile], begin[tile + 1], columns_of, number, chosen, bmu)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _boxes_of_neurons(neurons, rows, columns, tiles):  # type: ignore[no-untyped-def]
     """Lowest and highest coordinates of the neurons of each row of tiles (S, 2, 3) and of each tile (S, T, 2, 3)."""
     strips, patches = np.empty((tiles[0], 2, 3)), np.empty((tiles[0], tiles[1], 2, 3))
@@ -131,7 +132,7 @@ def _boxes_of_neurons(neurons, rows, columns, tiles):  # type: ignore[no-untyped
     return strips, patches
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _near_tile(tile, box, neurons, rows, columns, strips, patches, columns_of, number):  # type: ignore[no-untyped-def]
     """How many neurons may be the nearest to a point in the box (2, 3); columns_of and number get them, filled up to 4.
 
@@ -166,13 +167,13 @@ def _near_tile(tile, box, neurons, rows, columns, strips, patches, columns_of, n
     return chosen
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _part(part, parts, count):  # type: ignore[no-untyped-def]
     """The first of `count` that is in this part, and the first of the next: those i with i * parts // count == part."""
     return (part * count + parts - 1) // parts, ((part + 1) * count + parts - 1) // parts
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _farthest(box, place):  # type: ignore[no-untyped-def]
     """Squared distance of a place (3,) from the farthest place in a box."""
     square = 0.0
@@ -182,7 +183,7 @@ def _farthest(box, place):  # type: ignore[no-untyped-def]
     return square
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _gap(box, low, high):  # type: ignore[no-untyped-def]
     """Squared distance of a box from another."""
     square = 0.0
@@ -192,7 +193,7 @@ def _gap(box, low, high):  # type: ignore[no-untyped-def]
     return square
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _nearest(points, begin, end, columns_of, number, count, bmu):  # type: ignore[no-untyped-def]
     """The nearest (N,) to the points from `begin` to `end` among the first `count` neurons, a multiple of four.
 
@@ -225,7 +226,7 @@ def _nearest(points, begin, end, columns_of, number, count, bmu):  # type: ignor
                 best[i] = min(least, best[i])
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _sum_by_neuron(points, weight, bmu, sums):  # type: ignore[no-untyped-def]
     """Weighted sum of the coordinates, and of the weights, of the points of each neuron (n, 4)."""
     sums[:] = 0.0
@@ -237,7 +238,7 @@ def _sum_by_neuron(points, weight, bmu, sums):  # type: ignore[no-untyped-def]
         own[3] += w
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _pull(neurons, sums, rows, columns, hexagonal, width, across, least):  # type: ignore[no-untyped-def]
     """Each neuron moves to the mean of all points, weighted by the neighborhood of their neurons.
 

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ _ROUNDS = 3
 _FEWEST = 12
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def fit_bend(x, y, z, weights, spacing, noise):  # type: ignore[no-untyped-def]
     """The bend that points x, y, z (N,) with weights (N,) lie on: coefficients (6,) and deviation in metres.
 
@@ -60,7 +61,7 @@ def bend_normals(coefficients: Float, points: Float) -> Float:
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _fit(x, y, z, weights, scale, slack):  # type: ignore[no-untyped-def]
     """The weighted least-squares fit, repeated without the points farther off than `slack` and 2.5 deviations.
 

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from g2_recon.kernels import inner_kernel, kernel
 
-@numba.njit(cache=True, nogil=True)
+
+@kernel
 def bounding_rectangle(x, y, stray):  # type: ignore[no-untyped-def]
     """The smallest rectangle around points, x and y (N,), N >= 1; a share `stray` at each side may lie beyond it.
 
@@ -39,7 +40,7 @@ def bounding_rectangle(x, y, stray):  # type: ignore[no-untyped-def]
     return cosine, sine, low, high
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _ends_of_columns(x, y):  # type: ignore[no-untyped-def]
     """The distinct x, ascending, and the lowest and the highest y at each; no other point is a corner of the hull."""
     columns, lower, upper = np.empty(len(x)), np.empty(len(x)), np.empty(len(x))
@@ -54,7 +55,7 @@ def _ends_of_columns(x, y):  # type: ignore[no-untyped-def]
     return columns[:count], lower[:count], upper[:count]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _lower_chain(x, y):  # type: ignore[no-untyped-def]
     """Numbers of the points on the lower side of the convex hull; x ascends (Andrew's monotone chain, 1979)."""
     chain = np.empty(len(x), np.int64)
@@ -70,7 +71,7 @@ def _lower_chain(x, y):  # type: ignore[no-untyped-def]
     return chain[:count]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _area(x, y, cosine, sine):  # type: ignore[no-untyped-def]
     """Area of the rectangle around points whose first side has this direction."""
     low_u = low_v = np.inf
@@ -81,7 +82,7 @@ def _area(x, y, cosine, sine):  # type: ignore[no-untyped-def]
     return (high_u - low_u) * (high_v - low_v)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _quantiles(values, share):  # type: ignore[no-untyped-def]
     """The quantiles `share` and 1 - `share`, between two values in proportion."""
     last = len(values) - 1

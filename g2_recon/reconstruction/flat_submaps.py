@@ -10,10 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.kernels import kernel
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.batch_training import train_sheet
 from g2_recon.reconstruction.bends import bend_normals, fit_bend, onto_bend
@@ -163,7 +163,7 @@ def _groups(sizes: Int) -> list[Int]:
     return [np.ascontiguousarray(largest_first[start::number]) for start in range(number)]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _by_cluster(label, count):  # type: ignore[no-untyped-def]
     """The points (N,) cluster by cluster, and where each cluster begins (K + 1,)."""
     begin = np.zeros(count + 1, np.int64)
@@ -184,7 +184,7 @@ def _frames(normals: Float) -> Float:
     return np.stack([x, np.cross(normals, x), normals], axis=1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _lay_flat(group, points, order, begin, center, local, frames, low, high):  # type: ignore[no-untyped-def]
     """Points of the clusters of a group into their frames, and these turned to the smallest rectangle; see _Flat."""
     for k in group:
@@ -226,7 +226,7 @@ def _sheets(kind: Kind, flat: _Flat, spacing: float) -> tuple[Float, _Sheets]:
     return np.column_stack([place, np.zeros(len(place))]), _Sheets(submap, first, shape, lattices)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _train(group, begin, local, weights, neurons, first, shape, hexagonal, epochs, bmu):  # type: ignore[no-untyped-def]
     """The maps of a group, trained in place, and the best matching unit (N,) of each of their points."""
     for k in group:
@@ -238,7 +238,7 @@ def _train(group, begin, local, weights, neurons, first, shape, hexagonal, epoch
         bmu[a:b] += first[k]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fit_bends(group, begin, local, weights, spacing, noise, bends, across):  # type: ignore[no-untyped-def]
     """The bend (K, 6) of each cluster of a group and the deviation (K,) m of its points, see fit_bend."""
     for k in group:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from g2_recon.geometry.intersections import crossing_pairs
 from g2_recon.geometry.point_grid import PointGrid
 from g2_recon.geometry.triangles import area_vector, area_vectors, unit, vertex_normals
 from g2_recon.geometry.union_find import linked
+from g2_recon.kernels import inner_kernel, kernel
 from g2_recon.reconstruction.support import supported
 
 Float = NDArray[np.float64]
@@ -96,7 +96,7 @@ def _neighbors_at_edges(face_edges: Int) -> tuple[Int, Int]:
     return before[other], other
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _before_at_edge(edge):  # type: ignore[no-untyped-def]
     before = np.empty(len(edge), np.int64)
     last = np.full(len(edge), -1, np.int64)
@@ -231,7 +231,7 @@ def _gaps(points: Float, neighbors: NDArray[np.int32], rows: Int, owner: Int, di
     return _quantiles(next_one[known], owner[known], 0.5, len(direction))[0]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _next_along(points, neighbors, rows, owner, direction):  # type: ignore[no-untyped-def]
     """How far (M,) the nearest neighbor of each of the rows is along the direction of its owner, either way."""
     result = np.full(len(rows), np.inf)
@@ -424,7 +424,7 @@ def _sums(group: Int, vectors: Float, count: int) -> Float:
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _walk_loops(vertices, normals, half_edges, begin, max_edges):  # type: ignore[no-untyped-def]
     loops = np.full((len(half_edges) // 3 + 1, max_edges), -1, np.int64)
     sizes = np.zeros(len(loops), np.int64)
@@ -450,7 +450,7 @@ def _walk_loops(vertices, normals, half_edges, begin, max_edges):  # type: ignor
     return loops[:found], sizes[:found]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _repeats(values):  # type: ignore[no-untyped-def]
     for i in range(len(values)):
         for j in range(i):
@@ -459,7 +459,7 @@ def _repeats(values):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _next_half_edge(vertices, normals, half_edges, begin, edge):  # type: ignore[no-untyped-def]
     """The half-edge that bounds the same gap: at a pinched vertex, the next one clockwise from the one arrived by."""
     came_from, vertex = half_edges[edge, 0], half_edges[edge, 1]
@@ -474,7 +474,7 @@ def _next_half_edge(vertices, normals, half_edges, begin, edge):  # type: ignore
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _turn(vertices, normal, vertex, one, other):  # type: ignore[no-untyped-def]
     """Angle counterclockwise around the normal from one neighbor of a vertex to another one, in (0, 2 pi]."""
     x, y, z = vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2]
@@ -490,7 +490,7 @@ def _turn(vertices, normal, vertex, one, other):  # type: ignore[no-untyped-def]
     return angle if angle > 0 else 2.0 * math.pi
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _least_area(vertices, loops, sizes, edges):  # type: ignore[no-untyped-def]
     """Triangles (T, 3) of all loops, triangulated with the least area, and the loop (T,) of each.
 
@@ -532,7 +532,7 @@ def _least_area(vertices, loops, sizes, edges):  # type: ignore[no-untyped-def]
     return triangles, loop_of
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _area(vertices, a, b, c):  # type: ignore[no-untyped-def]
     x, y, z = area_vector(vertices, a, b, c)
     return 0.5 * math.sqrt(x * x + y * y + z * z)
@@ -548,7 +548,7 @@ def _keeps_manifold(faces: Int, triangles: Int, loop: Int, size: Int, accepted: 
     return np.asarray(_take_half_edges(half_edge[len(faces) :].reshape(-1), begin, accepted, used))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _take_half_edges(half_edges, begin, accepted, used):  # type: ignore[no-untyped-def]
     """Which of the accepted loops, one after the other, get all their half-edges [begin[loop], begin[loop + 1])."""
     good = np.zeros(len(accepted), np.bool_)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
@@ -14,6 +13,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_tree import BLOCK, PointTree, nearest_to_block
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def fit_local_planes(
     in_chunks(fit, len(rows), workers)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes, places):  # type: ignore[no-untyped-def]
     middles, normals, deviation, spans, neighbors_found, around = planes
     everywhere = len(tree.number) == len(points)
@@ -165,7 +165,7 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes, pla
         begin += size
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _face_sensor(axes, rx, ry, rz):  # type: ignore[no-untyped-def]
     """Turn the normal in `axes` about the line of a scan, to face the sensor at (rx, ry, rz); whether it could be.
 
@@ -181,7 +181,7 @@ def _face_sensor(axes, rx, ry, rz):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _on_one_side(points, sensor, number, places, count, axes):  # type: ignore[no-untyped-def]
     """How many of the first `count` places, put in front, hold points seen from the side that the normal looks to.
 
@@ -208,7 +208,7 @@ def _on_one_side(points, sensor, number, places, count, axes):  # type: ignore[n
     return facing
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _block_at(points, rows, begin, radius, block):  # type: ignore[no-untyped-def]
     """Copy points from points[rows[begin]] on into the block, those within the radius of it along each axis."""
     size = 0
@@ -223,7 +223,7 @@ def _block_at(points, rows, begin, radius, block):  # type: ignore[no-untyped-de
     return size
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _principal_axes(matrix, axes, square):  # type: ignore[no-untyped-def]
     """Eigenvectors (columns of axes) and ascending eigenvalues of a symmetric matrix.
 
@@ -258,7 +258,7 @@ def _principal_axes(matrix, axes, square):  # type: ignore[no-untyped-def]
                 axes[c, a], axes[c, b] = axes[c, b], axes[c, a]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _rotation(first, second, product):  # type: ignore[no-untyped-def]
     """Tangent, cosine and sine of the rotation that takes the product of two axes away."""
     if product == 0.0:
@@ -269,7 +269,7 @@ def _rotation(first, second, product):  # type: ignore[no-untyped-def]
     return tangent, cosine, tangent * cosine
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _rotate(axes, p, q, cosine, sine):  # type: ignore[no-untyped-def]
     for a in range(3):
         first, second = axes[a, p], axes[a, q]
@@ -317,7 +317,7 @@ def _next_owner(
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill_next_owner(  # type: ignore[no-untyped-def]
     points, middles, normals, variance, neighbors, owner, begin, end, result
 ):
@@ -334,7 +334,7 @@ def _fill_next_owner(  # type: ignore[no-untyped-def]
                     result[i] = j
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _misfit(points, point, middles, normals, variance, plane):  # type: ignore[no-untyped-def]
     height = 0.0
     for a in range(3):
@@ -404,7 +404,7 @@ def _means(points: Float, piece: NDArray[np.int32]) -> Float:
     return total / np.bincount(piece)[:, None]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _spread_signs(normals, order, parent, sign):  # type: ignore[no-untyped-def]
     root = order[0]
     for i in order[1:]:

@@ -11,13 +11,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import cKDTree
 
+from g2_recon.kernels import kernel
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.som import FAR_OFF, NEVER, Stop, padded, present, sums_by_neuron
 
@@ -220,7 +220,7 @@ def _shared(members: Int, effort: Float, workers: int) -> list[Int]:
     return [np.array(share, np.int64) for share in shares]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _present_in_turn(which, arrays, weights, rates):  # type: ignore[no-untyped-def]
     """For each rate, each of these parts presents its points once; weights (A, 3) are changed in place."""
     points, order, first_point, neurons, first_neuron, pull, first_pull, states = arrays

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 import threading
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from g2_recon.kernels import kernel
 from g2_recon.reconstruction.lattice import Lattice
 
 Float = NDArray[np.float64]
@@ -80,13 +80,13 @@ def train_online(
     return weights[:, : len(start)].T.astype(float) + middle
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def padded(count):  # type: ignore[no-untyped-def]
     """How many neurons `present` wants for `count`: a processor works on eight floats at once."""
     return (count + 7) // 8 * 8
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _train(points, weights, steps, order, rates, radii, state):  # type: ignore[no-untyped-def]
     """A pass over the points for each rate and radius; weights, order and state are changed in place."""
     count, width = len(steps), weights.shape[1]
@@ -101,7 +101,7 @@ def _train(points, weights, steps, order, rates, radii, state):  # type: ignore[
         present(points, weights, pull, rates[turn], order, state)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def present(points, weights, pull, rate, order, state):  # type: ignore[no-untyped-def]
     """Present each point (N, 3) once, in random order; weights, order and state are changed in place.
 
@@ -149,7 +149,7 @@ def present(points, weights, pull, rate, order, state):  # type: ignore[no-untyp
         along_z[j] += by * (z - along_z[j])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def shuffle(order, state):  # type: ignore[no-untyped-def]
     """Fisher and Yates' shuffle with Marsaglia's xorshift generator, so that each map has a sequence of its own."""
     x = state[0]
@@ -181,7 +181,7 @@ def train_batch(points: Float, start: Float, lattice: Lattice, *, epochs: int, w
     return weights
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def best_matching_units(points, weights):  # type: ignore[no-untyped-def]
     """The nearest neuron (N,) to each point (N, 3) among weights (n, 3), by looking at all: fastest for small maps."""
     columns = np.ascontiguousarray(weights.T)

@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_grid import PointGrid, has_point_near, nearest_point
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -38,7 +38,7 @@ def supported(vertices: Float, faces: Int, grid: PointGrid, distance: float, wor
     return mask
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def triangle_supported(vertices, a, b, c, grid, distance):  # type: ignore[no-untyped-def]
     """Whether data lies within `distance` metres of each of the seven places on the triangle of vertices a, b, c."""
     for row in range(len(_PLACES)):
@@ -51,7 +51,7 @@ def triangle_supported(vertices, a, b, c, grid, distance):  # type: ignore[no-un
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill_supported(vertices, faces, grid, distance, begin, end, mask):  # type: ignore[no-untyped-def]
     for face in range(begin, end):
         mask[face] = triangle_supported(vertices, faces[face, 0], faces[face, 1], faces[face, 2], grid, distance)
@@ -74,8 +74,11 @@ def on_own_data(
     return mask
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _on_own_data(middle, submap, grid, label, distance, begin, end, mask):  # type: ignore[no-untyped-def]
     for face in range(begin, end):
         nearest = nearest_point(grid, middle[face, 0], middle[face, 1], middle[face, 2], distance)
         mask[face] = nearest >= 0 and label[nearest] == submap[face]
+
+
+from g2_recon.kernels import inner_kernel, kernel

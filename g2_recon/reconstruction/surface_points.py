@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry.chunks import in_chunks, taken
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.point_tree import PointTree, point_tree
+from g2_recon.kernels import kernel
 from g2_recon.reconstruction.normals import (
     SECTORS,
     LocalPlanes,
@@ -170,7 +170,7 @@ def _spatial_order(points: Float, voxel: float) -> tuple[Codes, Int]:
     return codes[order] >> np.uint64(3 * finer), order
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _morton_codes(points, voxel):  # type: ignore[no-untyped-def]
     codes = np.empty(len(points), np.uint64)
     for i in range(len(points)):
@@ -250,7 +250,7 @@ def _median_distances(points: Float, normals: Float, around: NDArray[np.int32], 
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill_median_distances(points, normals, around, begin, end, result):  # type: ignore[no-untyped-def]
     distance = np.empty(around.shape[1])
     for i in range(begin, end):
@@ -278,7 +278,7 @@ def _links_among(around: NDArray[np.int32], good: Int, workers: int) -> NDArray[
     return links
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill_links(around, good, number, begin, end, links):  # type: ignore[no-untyped-def]
     for i in range(begin, end):
         for s in range(SECTORS):

@@ -6,14 +6,15 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def place_beams(in_laser, times, stamps, positions, quaternions, T_base_laser, max_gap):  # type: ignore[no-untyped-def]
     """Points and sensor positions (M, 3) in the map frame, and a mask (M,) of those whose pose is known.
 
@@ -55,7 +56,7 @@ def place_beams(in_laser, times, stamps, positions, quaternions, T_base_laser, m
     return points, sensor, known
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def pose_at(time, stamps, positions, quaternions):  # type: ignore[no-untyped-def]
     """Position (3,), m, and quaternion (4,), x y z w, of the robot at a time in seconds, by one or more poses.
 
@@ -69,7 +70,7 @@ def pose_at(time, stamps, positions, quaternions):  # type: ignore[no-untyped-de
     return (1.0 - share) * positions[left] + share * positions[right], np.array(quaternion)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _slerp(a, b, share):  # type: ignore[no-untyped-def]
     """The unit quaternion a share of the shortest way from `a` to `b`."""
     cos = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.config import SweepConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.kernels import kernel
 from g2_recon.registration.prepared_sweep import PreparedSweep, prepare
 
 Float = NDArray[np.float64]
@@ -66,7 +66,7 @@ def prepare_map(cloud: Cloud, config: SweepConfig) -> PreparedMap:
     return PreparedMap(**parts, nearest=np.full_like(whole.nearest, np.nan), beams=beams, corner=corner)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def count_beams(beams, sensors, points, corner, edge, behind):  # type: ignore[no-untyped-def]
     """Add to the cubes (X, Y, Z) the beams (N,) from sensors to points (N, 3) that end `behind` m after them."""
     for row in range(len(points)):

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from g2_recon.config import SweepConfig
 from g2_recon.errors import InputError
 from g2_recon.geometry.cloud import Cloud
+from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -117,7 +117,7 @@ def usable(points: Float, config: SweepConfig) -> Float:
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def within(points, scale, nearest, farthest):  # type: ignore[no-untyped-def]
     """Those of the points (N, 3) whose distance from the origin is between two, once they are scaled, scaled (K, 3)."""
     kept = np.empty((len(points), 3))
@@ -150,7 +150,7 @@ def _thinned(points: Float, voxel: float) -> tuple[Float, Mask]:
     return tuple(flatten(means, counts, keys, steps))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def middles_of_cubes(points, edge):  # type: ignore[no-untyped-def]
     """The mean (M, 3) of those of the points (N, 3) in each cube of `edge` (m) that holds any, and their number (M,).
 
@@ -189,7 +189,7 @@ def middles_of_cubes(points, edge):  # type: ignore[no-untyped-def]
     return means[: found + 1], counts[: found + 1], keys[: found + 1], steps
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _ascending(keys, beyond):  # type: ignore[no-untyped-def]
     """The order (N,) of numbers (N,) from 0 to below `beyond`, those alike as they come: digit by digit, last first."""
     order, other = np.arange(len(keys)), np.empty(len(keys), np.int64)
@@ -209,7 +209,7 @@ def _ascending(keys, beyond):  # type: ignore[no-untyped-def]
     return order
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def flatten(points, counts, keys, steps):  # type: ignore[no-untyped-def]
     """Points (M, 3), those that lie on a plane with those in the 26 cubes around them moved onto it; and which (M,).
 
@@ -309,7 +309,7 @@ def _nearest(points: Float) -> Float:
     return image
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_kernel
 def _bin(x, y, z):  # type: ignore[no-untyped-def]
     """Azimuth and elevation bin of a place, and how far it is from the laser."""
     across = math.sqrt(x * x + y * y)
@@ -318,7 +318,7 @@ def _bin(x, y, z):  # type: ignore[no-untyped-def]
     return azimuth, elevation, math.sqrt(across * across + z * z)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def look(points, image):  # type: ignore[no-untyped-def]
     """Lower each bin of an image (180, 90) to the range of the nearest of points (N, 3) in it."""
     for row in range(len(points)):
@@ -326,7 +326,7 @@ def look(points, image):  # type: ignore[no-untyped-def]
         image[azimuth, elevation] = min(image[azimuth, elevation], distance)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def before(places, image, margin):  # type: ignore[no-untyped-def]
     """Mask (K,) of the places (K, 3) nearer than what an image of ranges has, by a margin in metres and a bin."""
     result = np.zeros(len(places), np.bool_)

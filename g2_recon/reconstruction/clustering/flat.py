@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from g2_recon.errors import InputError
 from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_tree import BLOCK, nearest_to_block, point_tree
 from g2_recon.geometry.union_find import groups, link
+from g2_recon.kernels import kernel
 from g2_recon.reconstruction.surface_points import SurfacePoints, first_of_runs
 
 Float = NDArray[np.float64]
@@ -263,7 +263,7 @@ def _without_misfits(sample: _Sample, label: Int, planes: _Planes, costs: _Costs
     return label
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _misfits(points, normals, label, centers, planes, height, turn):  # type: ignore[no-untyped-def]
     """What the height and the turn of each point cost (M,) in its cluster."""
     cost = np.empty(len(points))
@@ -272,7 +272,7 @@ def _misfits(points, normals, label, centers, planes, height, turn):  # type: ig
     return cost
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _misfit(points, normals, i, centers, planes, k, height, turn):  # type: ignore[no-untyped-def]
     """What the height and the turn of point i cost in cluster k."""
     off, cos = 0.0, 0.0
@@ -333,7 +333,7 @@ def _assign(sample: _Sample, planes: _Planes, costs: _Costs, workers: int) -> In
     return label
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _nearest_centers(tree, middles):  # type: ignore[no-untyped-def]
     """Distance (B, k) m and number (B, k) of the 32 centers nearest to the middle of each block, or of all."""
     count = min(_NEAR_CLUSTERS, len(tree.number))
@@ -348,7 +348,7 @@ def _nearest_centers(tree, middles):  # type: ignore[no-untyped-def]
     return distance, number
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _assign_points(points, normals, block, near, least, centers, planes, distance, height, turn, label):  # type: ignore[no-untyped-def]
     for i in range(len(points)):
         best = np.inf
@@ -368,7 +368,7 @@ def _assign_points(points, normals, block, near, least, centers, planes, distanc
                 label[i] = k
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _connected(points, neighbors, label, gap):  # type: ignore[no-untyped-def]
     """The clusters (N,) after parting those that do not hang together, numbered by their first points.
 
@@ -432,7 +432,7 @@ def _adopted(sample: _Sample, surface: SurfacePoints, label: Int, planes: _Plane
     return label
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _adopting(  # type: ignore[no-untyped-def]
     points, normals, rows, neighbors, label, centers, planes, height, turn, limit
 ):
@@ -454,7 +454,7 @@ def _fit(sample: _Sample, label: Int, workers: int) -> _Planes:
     return _planes(_moments(sample, label, anchor, None, workers), anchor, sample.noise)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _anchors(points, label, count):  # type: ignore[no-untyped-def]
     """One of its points (count, 3) for each cluster, the last."""
     anchor = np.zeros((count, 3))
@@ -526,7 +526,7 @@ def _moments(sample: _Sample, label: Int, anchor: Float, slab: tuple[Float, Floa
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _accumulate(points, normals, weights, label, anchor, planes, limit, sums):  # type: ignore[no-untyped-def]
     for i in range(len(points)):
         k = label[i]

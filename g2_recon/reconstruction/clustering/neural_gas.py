@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from g2_recon.kernels import kernel
 
 Float = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ def neural_gas(
     return np.unique(label, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _present(points, presented, units, rates, ranges):  # type: ignore[no-untyped-def]
     """Present the points of these numbers one after the other; units (K, D) are changed in place."""
     count, dimensions = units.shape
