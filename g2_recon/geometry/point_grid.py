@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
+from g2_recon.geometry.sorting import sort_by_counting
 from g2_recon.kernels import inner_kernel, kernel
 
 Float = NDArray[np.float64]
@@ -51,7 +52,7 @@ def point_grid(points: Float, *, cell: float) -> PointGrid:
     # Axis by axis, and by take: several times as fast as over rows of three.
     origin = np.array([points[:, axis].min() for axis in range(3)]) if len(points) else np.zeros(3)
     number, cells, slots = _number_cells(points, origin, float(cell))
-    order, begin = _sort_by_counting(number, len(cells))
+    order, begin = sort_by_counting(number, len(cells))
     return PointGrid(points.take(order, axis=0), order, begin, cells, slots, origin, float(cell))
 
 
@@ -107,22 +108,6 @@ def _table(cells, count, size):  # type: ignore[no-untyped-def]
             slot = (slot + 1) & (size - 1)
         slots[slot] = number
     return slots
-
-
-@kernel
-def _sort_by_counting(number, count):  # type: ignore[no-untyped-def]
-    """The order (N,) that sorts numbers below `count`, equal ones as they come, and where (count + 1,) each begins."""
-    begin = np.zeros(count + 1, np.int64)
-    for row in range(len(number)):
-        begin[number[row] + 1] += 1
-    for group in range(count):
-        begin[group + 1] += begin[group]
-    end = begin[:-1].copy()
-    order = np.empty(len(number), np.int64)
-    for row in range(len(number)):
-        order[end[number[row]]] = row
-        end[number[row]] += 1
-    return order, begin
 
 
 @kernel

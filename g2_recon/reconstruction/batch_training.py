@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from g2_recon.geometry.sorting import sort_by_counting
 from g2_recon.kernels import inner_kernel, kernel
 
 # A final neighborhood of one lattice step would shrink each map by about a cell.
@@ -42,14 +43,15 @@ def train_sheet(x, y, z, weights, neurons, rows, columns, hexagonal, epochs, bmu
     tiles = max(1, rows // _TILE), max(1, columns // _TILE)
     order, begin = _by_tiles(x, y, tiles)
     points = np.empty((3, len(x)), np.float32)
-    weight = np.empty(len(x))
+    weight, total = np.empty(len(x)), 0.0
     for k in range(len(order)):
         i = order[k]
         points[0, k], points[1, k], points[2, k], weight[k] = x[i], y[i], z[i], weights[i]
+        total += weight[k]
     boxes = _boxes(points, begin)
     nearest = np.zeros(len(x), np.int32)
     sums = np.empty((rows, 4 * columns))
-    least = _LEAST_WEIGHT * weight.mean()
+    least = _LEAST_WEIGHT * (total / len(x))
     across = math.sqrt(0.75) if hexagonal else 1.0
     start = max(min(max(rows * across, columns) / 2.0, _WIDEST_START), _WIDTH_END)
     for epoch in range(epochs):
@@ -66,23 +68,16 @@ def train_sheet(x, y, z, weights, neurons, rows, columns, hexagonal, epochs, bmu
 def _by_tiles(x, y, tiles):  # type: ignore[no-untyped-def]
     """An order (N,) of the points in which those of a tile follow each other, and where each tile begins (T + 1,)."""
     tiles_x, tiles_y = tiles
-    begin = np.zeros(tiles_x * tiles_y + 1, np.int64)
-    if len(begin) == 2:
-        begin[1] = len(x)
-        return np.arange(len(x)), begin
-    low_x, low_y = x.min(), y.min()
-    size_x, size_y = max(x.max() - low_x, 1e-12) / tiles_x, max(y.max() - low_y, 1e-12) / tiles_y
+    low_x = low_y = np.inf
+    high_x = high_y = -np.inf
+    for i in range(len(x)):
+        low_x, high_x, low_y, high_y = min(low_x, x[i]), max(high_x, x[i]), min(low_y, y[i]), max(high_y, y[i])
+    size_x, size_y = max(high_x - low_x, 1e-12) / tiles_x, max(high_y - low_y, 1e-12) / tiles_y
     tile = np.empty(len(x), np.int64)
     for i in range(len(x)):
         tile_x, tile_y = int((x[i] - low_x) / size_x), int((y[i] - low_y) / size_y)
         tile[i] = min(tile_x, tiles_x - 1) * tiles_y + min(tile_y, tiles_y - 1)
-        begin[tile[i] + 1] += 1
-    begin = np.cumsum(begin)
-    next_place, order = begin[:-1].copy(), np.empty(len(x), np.int64)
-    for i in range(len(x)):
-        order[next_place[tile[i]]] = i
-        next_place[tile[i]] += 1
-    return order, begin
+    return sort_by_counting(tile, tiles_x * tiles_y)
 
 
 @inner_kernel

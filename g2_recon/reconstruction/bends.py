@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,10 +41,13 @@ def fit_bend(x, y, z, weights, spacing, noise):  # type: ignore[no-untyped-def]
         return np.zeros(6), np.inf
     coefficients, variance, explained, count = _fit(x, y, z, weights, 1.0 / size, _TRIM * noise)
     bent = explained > max(_LEAST_NOISE * noise, _LEAST_SPACING * spacing) ** 2
-    if not (bent and count * explained > _LEAST_EVIDENCE * variance and np.isfinite(coefficients).all()):
+    is_finite = True
+    for i in range(6):
+        is_finite &= math.isfinite(coefficients[i])
+        if i > 0:
+            coefficients[i] /= size if i < 3 else size * size
+    if not (bent and count * explained > _LEAST_EVIDENCE * variance and is_finite):
         return np.zeros(6), np.inf
-    coefficients[1:3] /= size
-    coefficients[3:] /= size * size
     return coefficients, np.sqrt(variance)
 
 

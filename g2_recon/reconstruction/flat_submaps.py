@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.geometry.sorting import sort_by_counting
 from g2_recon.kernels import kernel
 from g2_recon.progress import Progress, silent
 from g2_recon.reconstruction.batch_training import train_sheet
@@ -83,7 +84,7 @@ def train_submaps(
     plane_center, plane_normal: (K, 3) and thickness: (K,) of the clusters. The result does not depend on `workers`.
     """
     count = len(plane_center)
-    order, begin = _by_cluster(label, count)
+    order, begin = sort_by_counting(label, count)
     groups = _groups(np.diff(begin))
     weights = weights[order]
     hexagonal = lattice == "hexagonal"
@@ -163,20 +164,6 @@ def _groups(sizes: Int) -> list[Int]:
     return [np.ascontiguousarray(largest_first[start::number]) for start in range(number)]
 
 
-@kernel
-def _by_cluster(label, count):  # type: ignore[no-untyped-def]
-    """The points (N,) cluster by cluster, and where each cluster begins (K + 1,)."""
-    begin = np.zeros(count + 1, np.int64)
-    for own in label:
-        begin[own + 1] += 1
-    begin = np.cumsum(begin)
-    place, order = begin[:-1].copy(), np.empty(len(label), np.int64)
-    for i in range(len(label)):
-        order[place[label[i]]] = i
-        place[label[i]] += 1
-    return order, begin
-
-
 def _frames(normals: Float) -> Float:
     """Right-handed frames (K, 3, 3), rows x, y, z, whose z axes are the unit normals (K, 3)."""
     x = np.cross(np.eye(3)[np.argmin(np.abs(normals), axis=1)], normals)
@@ -235,7 +222,8 @@ def _train(group, begin, local, weights, neurons, first, shape, hexagonal, epoch
         train_sheet(
             local[0, a:b], local[1, a:b], local[2, a:b], weights[a:b], own, rows, columns, hexagonal, epochs, bmu[a:b]
         )
-        bmu[a:b] += first[k]
+        for i in range(a, b):
+            bmu[i] += first[k]
 
 
 @kernel
@@ -243,7 +231,9 @@ def _fit_bends(group, begin, local, weights, spacing, noise, bends, across):  # 
     """The bend (K, 6) of each cluster of a group and the deviation (K,) m of its points, see fit_bend."""
     for k in group:
         a, b = begin[k], begin[k + 1]
-        bends[k], across[k] = fit_bend(local[0, a:b], local[1, a:b], local[2, a:b], weights[a:b], spacing, noise)
+        bend, across[k] = fit_bend(local[0, a:b], local[1, a:b], local[2, a:b], weights[a:b], spacing, noise)
+        for i in range(len(bend)):
+            bends[k, i] = bend[i]
 
 
 def _take_local_planes(
