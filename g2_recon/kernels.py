@@ -12,8 +12,12 @@ from functools import partial
 from typing import Any
 
 import numba
+import numpy as np
 
 kernel: Any = partial(numba.njit, cache=True, nogil=True, no_cfunc_wrapper=True)
 
 # For those that only kernels call: a call from Python ends the process. See test_kernels.py.
 inner_kernel: Any = partial(kernel, no_cpython_wrapper=True)
+
+# For what begins at 0: a plain 0 has a type of its own, and what takes it is compiled for that, too.
+ZERO = np.int64(0)

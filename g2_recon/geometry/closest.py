@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from g2_recon.errors import InputError
 from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.selection import select
-from g2_recon.kernels import inner_kernel, kernel
+from g2_recon.kernels import ZERO, inner_kernel, kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -143,7 +143,7 @@ def _sort(order, centers, leaves):  # type: ignore[no-untyped-def]
         for part in range(parts):
             begin, end = len(order) * part // parts, len(order) * (part + 1) // parts
             middle = len(order) * (2 * part + 1) // (2 * parts)
-            axis, longest = 0, -1.0
+            axis, longest = ZERO, -1.0
             for candidate in range(3):
                 low, high = np.inf, -np.inf
                 for row in range(begin, end):
@@ -194,7 +194,7 @@ def closest_place(tree, x, y, z, beyond, nodes, gaps):  # type: ignore[no-untype
     """
     leaves, count = len(tree.boxes) // 2, len(tree.order)
     best, best_v, best_w, found = beyond, 0.0, 0.0, -1
-    nodes[0], gaps[0], top = 1, _gap(tree.boxes, 1, x, y, z), 1
+    nodes[0], gaps[0], top = 1, 0.0, 1
     while top > 0:
         top -= 1
         node = nodes[top]

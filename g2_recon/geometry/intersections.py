@@ -83,8 +83,8 @@ def _grid_of_cells(boxes: Float, cell: float) -> tuple[PointGrid, Int]:
 
 
 @inner_kernel
-def _cell_range(boxes, box, axis, cell):  # type: ignore[no-untyped-def]
-    return range(math.floor(boxes[box, axis] / cell), math.floor(boxes[box, axis + 3] / cell) + 1)
+def _cell_range(low, high, cell):  # type: ignore[no-untyped-def]
+    return range(math.floor(low / cell), math.floor(high / cell) + 1)
 
 
 @kernel
@@ -93,9 +93,9 @@ def _touched_cells(boxes, cell):  # type: ignore[no-untyped-def]
     box_of: Int = np.empty(4 * len(boxes), np.int64)
     size = 0
     for box in range(len(boxes)):
-        for i in _cell_range(boxes, box, 0, cell):
-            for j in _cell_range(boxes, box, 1, cell):
-                for k in _cell_range(boxes, box, 2, cell):
+        for i in _cell_range(boxes[box, 0], boxes[box, 3], cell):
+            for j in _cell_range(boxes[box, 1], boxes[box, 4], cell):
+                for k in _cell_range(boxes[box, 2], boxes[box, 5], cell):
                     if size == len(cells):
                         cells = np.concatenate((cells, np.empty_like(cells)))
                         box_of = np.concatenate((box_of, np.empty_like(box_of)))
@@ -110,10 +110,10 @@ def _meets(boxes, cell, grid):  # type: ignore[no-untyped-def]
     """Mask (F,) of the boxes that touch a cell of the grid."""
     meets = np.zeros(len(boxes), np.bool_)
     for box in range(len(boxes)):
-        for i in _cell_range(boxes, box, 0, cell):
-            for j in _cell_range(boxes, box, 1, cell):
-                for k in _cell_range(boxes, box, 2, cell):
-                    begin, end = points_in_cell(grid, *cell_of(grid, i, j, k))
+        for i in _cell_range(boxes[box, 0], boxes[box, 3], cell):
+            for j in _cell_range(boxes[box, 1], boxes[box, 4], cell):
+                for k in _cell_range(boxes[box, 2], boxes[box, 5], cell):
+                    begin, end = points_in_cell(grid, *cell_of(grid, float(i), float(j), float(k)))
                     meets[box] |= end > begin
     return meets
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from g2_recon.errors import InputError
 from g2_recon.geometry.sorting import sort_by_counting
-from g2_recon.kernels import inner_kernel, kernel
+from g2_recon.kernels import ZERO, inner_kernel, kernel
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -157,7 +157,7 @@ def has_point_near(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
 def nearest_point(grid, x, y, z, distance):  # type: ignore[no-untyped-def]
     """Number, before sorting, of the point nearest to the place (x, y, z) within `distance` metres; -1 for none."""
     i, j, k = cell_of(grid, x, y, z)
-    nearest, least = _nearer_in_cell(grid, i, j, k, x, y, z, -1, distance * distance)
+    nearest, least = _nearer_in_cell(grid, i, j, k, x, y, z, ZERO - 1, distance * distance)
     rings = math.ceil(distance / grid.cell)
     for di in range(-rings, rings + 1):
         for dj in range(-rings, rings + 1):

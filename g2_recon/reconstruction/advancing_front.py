@@ -20,7 +20,7 @@ from g2_recon.geometry.edges import edges_of, half_edge_numbers
 from g2_recon.geometry.intersections import faces_cross
 from g2_recon.geometry.point_grid import PointGrid, cell_of, point_grid, points_in_cell
 from g2_recon.geometry.triangles import area_vector
-from g2_recon.kernels import inner_kernel, kernel
+from g2_recon.kernels import ZERO, inner_kernel, kernel
 from g2_recon.reconstruction.support import triangle_supported
 
 Float = NDArray[np.float64]
@@ -333,11 +333,16 @@ def _crosses_surface(surface, lookup, a, b, c, longest):  # type: ignore[no-unty
     vertices = surface.vertices
     new = (a, b, c)
     surface.searches[0] += 1
-    low = np.empty(3)
-    high = np.empty(3)
-    for axis in range(3):
-        low[axis] = min(vertices[a, axis], vertices[b, axis], vertices[c, axis])
-        high[axis] = max(vertices[a, axis], vertices[b, axis], vertices[c, axis])
+    low = (
+        min(vertices[a, 0], vertices[b, 0], vertices[c, 0]),
+        min(vertices[a, 1], vertices[b, 1], vertices[c, 1]),
+        min(vertices[a, 2], vertices[b, 2], vertices[c, 2]),
+    )
+    high = (
+        max(vertices[a, 0], vertices[b, 0], vertices[c, 0]),
+        max(vertices[a, 1], vertices[b, 1], vertices[c, 1]),
+        max(vertices[a, 2], vertices[b, 2], vertices[c, 2]),
+    )
     beyond = _FARTHEST_CORNER * longest
     first = cell_of(lookup, low[0] - beyond, low[1] - beyond, low[2] - beyond)
     last = cell_of(lookup, high[0] + beyond, high[1] + beyond, high[2] + beyond)
@@ -404,7 +409,9 @@ def _meets_box(vertices, face, low, high):  # type: ignore[no-untyped-def]
 @kernel
 def _advance(surface, lookup, grid, reach, spacing, support_distance):  # type: ignore[no-untyped-def]
     """All faces after the front has come to rest, the given ones first."""
-    longest = max(reach, surface.longest.max())
+    longest = reach
+    for vertex in range(len(surface.longest)):
+        longest = max(longest, surface.longest[vertex])
     heap = _Heap(np.zeros(1, np.int64), np.empty(1024), np.empty((1024, 3), np.int64))
     for face in range(surface.used[0]):
         for corner in range(3):
@@ -475,8 +482,8 @@ def _pop(heap):  # type: ignore[no-untyped-def]
     a, b, c = heap.triangle[0, 0], heap.triangle[0, 1], heap.triangle[0, 2]
     heap.size[0] -= 1
     size = heap.size[0]
-    _swap(heap, 0, size)
-    place = 0
+    place = ZERO
+    _swap(heap, place, size)
     while 2 * place + 1 < size:
         child = 2 * place + 1
         if child + 1 < size and _before(heap, child + 1, child):

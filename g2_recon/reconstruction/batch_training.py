@@ -103,7 +103,7 @@ def _search(points, begin, boxes, neurons, rows, columns, tiles, bmu):  # type: 
         for j in range(count):
             columns_of[0, j], columns_of[1, j], columns_of[2, j] = neurons[j, 0], neurons[j, 1], neurons[j, 2]
             number[j] = j
-        _nearest(points, 0, points.shape[1], columns_of, number, len(number), bmu)
+        _nearest(points, begin[0], begin[1], columns_of, number, len(number), bmu)
         return
     strips, patches = _boxes_of_neurons(neurons, rows, columns, tiles)
     for tile in range(len(boxes)):

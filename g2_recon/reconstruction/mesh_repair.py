@@ -515,8 +515,7 @@ def _least_area(vertices, loops, sizes, edges):  # type: ignore[no-untyped-def]
                         area[i, j], cut[i, j] = value, k
                 if gap < size - 1:
                     low, high = min(corners[i], corners[j]), max(corners[i], corners[j])
-                    place = np.searchsorted(edges, low * len(vertices) + high)
-                    if place < len(edges) and edges[place] == low * len(vertices) + high:
+                    if _is_among(edges, low * len(vertices) + high):
                         area[i, j] += _TAKEN
         waiting = [(0, size - 1)]
         while len(waiting) > 0:
@@ -530,6 +529,21 @@ def _least_area(vertices, loops, sizes, edges):  # type: ignore[no-untyped-def]
             waiting.append((i, k))
             waiting.append((k, j))
     return triangles, loop_of
+
+
+@inner_kernel
+def _is_among(numbers, wanted):  # type: ignore[no-untyped-def]
+    """Whether a number is one of these (N,), which ascend."""
+    begin, end = 0, len(numbers)
+    while begin < end:
+        middle = (begin + end) // 2
+        if numbers[middle] == wanted:
+            return True
+        if numbers[middle] < wanted:
+            begin = middle + 1
+        else:
+            end = middle
+    return False
 
 
 @inner_kernel
@@ -552,7 +566,9 @@ def _keeps_manifold(faces: Int, triangles: Int, loop: Int, size: Int, accepted: 
 def _take_half_edges(half_edges, begin, accepted, used):  # type: ignore[no-untyped-def]
     """Which of the accepted loops, one after the other, get all their half-edges [begin[loop], begin[loop + 1])."""
     good = np.zeros(len(accepted), np.bool_)
-    for loop in np.flatnonzero(accepted):
+    for loop in range(len(accepted)):
+        if not accepted[loop]:
+            continue
         taken = begin[loop]
         while taken < begin[loop + 1] and not used[half_edges[taken]]:
             used[half_edges[taken]] = True

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.point_tree import BLOCK, PointTree, nearest_to_block
-from g2_recon.kernels import inner_kernel, kernel
+from g2_recon.kernels import ZERO, inner_kernel, kernel
 
 Float = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def _fit_local_planes(points, sensor, rows, tree, neighbors, radius, planes, pla
     squared, nearest = np.empty((BLOCK, neighbors)), np.empty((BLOCK, neighbors), np.int64)
     away, matrix, axes = np.empty((neighbors, 3)), np.empty((3, 3)), np.empty((3, 3))
     square, spread = np.empty(3), np.empty(3)
-    begin = 0
+    begin = ZERO
     while begin < len(rows):
         size = _block_at(points, rows, begin, radius, block)
         nearest_to_block(tree, block[:size], radius * radius, squared, nearest, found)

@@ -379,7 +379,7 @@ def _connected(points, neighbors, label, gap):  # type: ignore[no-untyped-def]
         for j in neighbors[i]:
             x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
             if label[j] == label[i] and x * x + y * y + z * z <= gap * gap:
-                link(parent, i, j)
+                link(parent, i, np.int64(j))
     return groups(parent)[0]
 
 
