@@ -20,4 +20,4 @@ kernel: Any = partial(numba.njit, cache=True, nogil=True, no_cfunc_wrapper=True)
 inner_kernel: Any = partial(kernel, no_cpython_wrapper=True)
 
 # For what begins at 0: a plain 0 has a type of its own, and what takes it is compiled for that, too.
-ZERO = np.int64(0)
+ZERO: Any = np.int64(0)

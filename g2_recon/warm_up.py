@@ -3,7 +3,7 @@
 """Compile kernels, so that no first use has to wait for it: python -m g2_recon.warm_up [PART...].
 
 Parts are tracking (of localization, in a new map), smoothing (the half of it that another process compiles meanwhile),
-localization, registration, reconstruction (of clouds with sensors, mode solid) and training (the half of that which
+localization, registration, reconstruction (of clouds with sensors, mode solid) and submaps (the half of that which
 another process compiles meanwhile); without any, all kernels there are.
 """
 
@@ -32,7 +32,7 @@ from g2_recon.reconstruction.warm_up import (
     corner_of_a_room,
     warm_up_joining,
     warm_up_reconstruction,
-    warm_up_training,
+    warm_up_submaps,
 )
 from g2_recon.registration.prepared_map import prepare_map
 from g2_recon.registration.prepared_sweep import prepare
@@ -77,8 +77,8 @@ PARTS: dict[str, Callable[[], None]] = {
     "smoothing": warm_up_smoothing,
     "localization": warm_up_mapping,
     "registration": warm_up_registration,
-    "reconstruction": lambda: _in_two(warm_up_joining, "training", warm_up_reconstruction),
-    "training": warm_up_training,
+    "reconstruction": lambda: _in_two(warm_up_joining, "submaps", warm_up_reconstruction),
+    "submaps": warm_up_submaps,
 }
 
 

@@ -16,19 +16,18 @@ from threading import Lock
 
 # What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
 _LATE_IN_SMOOTHING = "localization.pose_graph:solve_window", "localization.likelihood:search"
-_LATE_IN_TRAINING = "reconstruction.flat_submaps:_fit_bends"
+_LATE_IN_SUBMAPS = "reconstruction.flat_submaps:_fit_bends"
 _LATE = {
     "tracking": ("localization.smoothing:_lay_on_earlier", *_LATE_IN_SMOOTHING),
     "smoothing": _LATE_IN_SMOOTHING,
     "localization": ("localization.loop_closure:register", "localization.branch_and_bound:find_places"),
     "registration": ("registration.placing:pose_at",),
     "reconstruction": (
-        "reconstruction.normals:_fit_local_planes",
         "reconstruction.advancing_front:_advance",
-        "reconstruction.mesh_repair:_take_half_edges",
-        _LATE_IN_TRAINING,
+        "reconstruction.mesh_repair:_next_along",
+        _LATE_IN_SUBMAPS,
     ),
-    "training": (_LATE_IN_TRAINING,),
+    "submaps": (_LATE_IN_SUBMAPS,),
 }
 
 # A tenth of the processor of what no message waits for, where others want it, too.

@@ -79,6 +79,3 @@ def _on_own_data(middle, submap, grid, label, distance, begin, end, mask):  # ty
     for face in range(begin, end):
         nearest = nearest_point(grid, middle[face, 0], middle[face, 1], middle[face, 2], distance)
         mask[face] = nearest >= 0 and label[nearest] == submap[face]
-
-
-from g2_recon.kernels import inner_kernel, kernel

@@ -14,7 +14,9 @@ from g2_recon.reconstruction.collected_cloud import Part
 from g2_recon.reconstruction.flat_submaps import FlatSubmaps, train_submaps
 from g2_recon.reconstruction.growing import GrowingReconstruction
 from g2_recon.reconstruction.mesh_of_submaps import mesh_of_submaps
+from g2_recon.reconstruction.normals import SECTORS
 from g2_recon.reconstruction.solid import find_clusters, find_surface
+from g2_recon.reconstruction.surface_points import SurfacePoints
 
 _CONFIG = ReconstructionConfig(workers=1)
 # Neurons along a side of the floor that is joined.
@@ -28,8 +30,11 @@ def warm_up_reconstruction() -> None:
         growing.update({0: Part(0, cloud.select(np.arange(end)))})
 
 
-def warm_up_training() -> None:
-    """Those of phase 2."""
+def warm_up_submaps() -> None:
+    """Those of phases 0 to 2: up to submaps that are trained."""
+    surface = find_surface(corner_of_a_room(with_sensor=True), _CONFIG, 1)
+    find_clusters(surface, _CONFIG, 1)
+    are_near(surface.points, surface.points[:1], _CONFIG.spacing, 1)
     points = _floor(0.1)
     train_submaps(
         points,
@@ -46,10 +51,8 @@ def warm_up_training() -> None:
 
 
 def warm_up_joining() -> None:
-    """Those of all other phases, and not those of phase 2."""
-    surface = find_surface(corner_of_a_room(with_sensor=True), _CONFIG, 1)
-    find_clusters(surface, _CONFIG, 1)
-    are_near(surface.points, surface.points[:1], _CONFIG.spacing, 1)
+    """Those of phases 3 and 4, and none of the others."""
+    surface = _surface_without_neighbors(corner_of_a_room(with_sensor=False).points)
     neurons = _floor(_CONFIG.spacing)
     row = np.arange(len(neurons) - _ALONG)[np.arange(len(neurons) - _ALONG) % _ALONG < _ALONG - 1]
     # Two halves with a strip between them that is to be joined.
@@ -68,6 +71,21 @@ def warm_up_joining() -> None:
     )
     nearest = np.linalg.norm(surface.points[:, None] - neurons, axis=2).argmin(axis=1)
     mesh_of_submaps(surface, submaps, nearest, _CONFIG, 1)
+
+
+def _surface_without_neighbors(points: NDArray[np.float64]) -> SurfacePoints:
+    count = len(points)
+    return SurfacePoints(
+        points=points,
+        normals=np.tile([0.0, 0.0, 1.0], (count, 1)),
+        weights=np.ones(count),
+        noise=0.01,
+        neighbors=np.repeat(np.arange(count, dtype=np.int32), SECTORS).reshape(-1, SECTORS),
+        cells=np.arange(count, dtype=np.uint64),
+        voxel=0.1,
+        kept=np.arange(count),
+        rejected={},
+    )
 
 
 def corner_of_a_room(*, with_sensor: bool) -> Cloud:
