@@ -41,13 +41,10 @@ def fit_bend(x, y, z, weights, spacing, noise):  # type: ignore[no-untyped-def]
         return np.zeros(6), np.inf
     coefficients, variance, explained, count = _fit(x, y, z, weights, 1.0 / size, _TRIM * noise)
     bent = explained > max(_LEAST_NOISE * noise, _LEAST_SPACING * spacing) ** 2
-    is_finite = True
-    for i in range(6):
-        is_finite &= math.isfinite(coefficients[i])
-        if i > 0:
-            coefficients[i] /= size if i < 3 else size * size
-    if not (bent and count * explained > _LEAST_EVIDENCE * variance and is_finite):
+    if not (bent and count * explained > _LEAST_EVIDENCE * variance):
         return np.zeros(6), np.inf
+    for i in range(1, 6):
+        coefficients[i] /= size if i < 3 else size * size
     return coefficients, np.sqrt(variance)
 
 
@@ -97,14 +94,38 @@ def _fit(x, y, z, weights, scale, slack):  # type: ignore[no-untyped-def]
                 for b in range(a + 1):
                     matrix[a, b] += w * row[a] * row[b]
         if count < _FEWEST:
-            return np.full(6, np.nan), 0.0, 0.0, 0
+            return coefficients, 0.0, 0.0, 0
         for a in range(6):
-            for b in range(a):
-                matrix[b, a] = matrix[a, b]
             matrix[a, a] += 1e-9 * total
-        coefficients[:] = np.linalg.solve(matrix, right)
-        plane = np.linalg.solve(np.ascontiguousarray(matrix[:3, :3]), right[:3])
-        variance = max(square - np.dot(right, coefficients), 0.0) / total
-        explained = max(np.dot(right, coefficients) - np.dot(right[:3], plane), 0.0) / total
+        _solve(matrix, right, coefficients)
+        # The first three coefficients are those of a plane.
+        by_plane = right[0] * right[0] + right[1] * right[1] + right[2] * right[2]
+        by_bend = right[3] * right[3] + right[4] * right[4] + right[5] * right[5]
+        variance = max(square - by_plane - by_bend, 0.0) / total
+        explained = by_bend / total
         limit = max(slack, _TRIM * np.sqrt(variance))
     return coefficients, variance, explained, count
+
+
+@inner_kernel
+def _solve(matrix, right, solution):  # type: ignore[no-untyped-def]
+    """Solve equations with a symmetric, positive definite matrix (Golub & Van Loan, Matrix Computations, section 4.2).
+
+    Only its lower triangle is looked at, and becomes that of its Cholesky factor. Of the normal equations of a fit,
+    right becomes what each unknown adds to those before it: its square is what the sum of squared residuals loses.
+    """
+    size = len(right)
+    for a in range(size):
+        for b in range(a):
+            for c in range(b):
+                matrix[a, b] -= matrix[a, c] * matrix[b, c]
+            matrix[a, b] /= matrix[b, b]
+            matrix[a, a] -= matrix[a, b] * matrix[a, b]
+            right[a] -= matrix[a, b] * right[b]
+        matrix[a, a] = math.sqrt(matrix[a, a])
+        right[a] /= matrix[a, a]
+    for a in range(size - 1, -1, -1):
+        solution[a] = right[a]
+        for b in range(a + 1, size):
+            solution[a] -= matrix[b, a] * solution[b]
+        solution[a] /= matrix[a, a]
