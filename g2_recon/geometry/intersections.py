@@ -39,15 +39,13 @@ def crossing_pairs(vertices: Float, faces: Int, *, among: Mask | None = None, wo
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     boxes, cell = _boxes(vertices, faces)
-    number: Int = np.arange(len(faces))
     if among is None:
         among = np.ones(len(faces), bool)
+        grid, face = _grid_of_cells(boxes, cell)
     else:
         number = np.flatnonzero(_meets(boxes, cell, _grid_of_cells(boxes[among], cell)[0]))
-    grid, face = _grid_of_cells(boxes[number], cell)
-    face = number[face]
-    # In the order of the cells, so that what is compared lies together.
-    boxes = boxes.take(face, axis=0)
+        grid, face = _grid_of_cells(boxes[number], cell)
+        face = number[face]
     parts = in_chunks(
         lambda begin, end: _crossing_pairs(vertices, faces, boxes, cell, among, grid, face, begin, end),
         len(grid.cells),
@@ -77,7 +75,7 @@ def _boxes(vertices, faces):  # type: ignore[no-untyped-def]
 
 def _grid_of_cells(boxes: Float, cell: float) -> tuple[PointGrid, Int]:
     """A grid with each box (F, 6) in each of the cells that it touches, and the box of each entry, sorted by cell."""
-    cells, box = _touched_cells(boxes, cell)
+    cells, box = _touched_cells(boxes, cell, _count_touched(boxes, cell))
     grid = point_grid(cells, cell=1.0)
     return grid, box[grid.order]
 
@@ -88,21 +86,29 @@ def _cell_range(low, high, cell):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _touched_cells(boxes, cell):  # type: ignore[no-untyped-def]
-    cells: Float = np.empty((4 * len(boxes), 3))
-    box_of: Int = np.empty(4 * len(boxes), np.int64)
-    size = 0
+def _count_touched(boxes, cell):  # type: ignore[no-untyped-def]
+    count = 0
+    for box in range(len(boxes)):
+        touched = 1
+        for axis in range(3):
+            touched *= len(_cell_range(boxes[box, axis], boxes[box, axis + 3], cell))
+        count += touched
+    return count
+
+
+@kernel
+def _touched_cells(boxes, cell, count):  # type: ignore[no-untyped-def]
+    cells: Float = np.empty((count, 3))
+    box_of: Int = np.empty(count, np.int64)
+    entry = 0
     for box in range(len(boxes)):
         for i in _cell_range(boxes[box, 0], boxes[box, 3], cell):
             for j in _cell_range(boxes[box, 1], boxes[box, 4], cell):
                 for k in _cell_range(boxes[box, 2], boxes[box, 5], cell):
-                    if size == len(cells):
-                        cells = np.concatenate((cells, np.empty_like(cells)))
-                        box_of = np.concatenate((box_of, np.empty_like(box_of)))
-                    cells[size, 0], cells[size, 1], cells[size, 2] = i, j, k
-                    box_of[size] = box
-                    size += 1
-    return cells[:size], box_of[:size]
+                    cells[entry, 0], cells[entry, 1], cells[entry, 2] = i, j, k
+                    box_of[entry] = box
+                    entry += 1
+    return cells, box_of
 
 
 @kernel
@@ -124,7 +130,7 @@ def _crossing_pairs(  # type: ignore[no-untyped-def]
 ):
     """Candidates are the faces of one cell of the grid; two that share several cells meet in the first of them.
 
-    boxes, face: (E, 6), (E,) of each entry of the grid.
+    boxes: (F, 6). face: (E,) of each entry of the grid.
     """
     pairs: Int = np.empty((64, 2), np.int64)
     count = 0
@@ -135,9 +141,9 @@ def _crossing_pairs(  # type: ignore[no-untyped-def]
             one = face[row]
             for column in range(row + 1, end):
                 other = face[column]
-                if _boxes_apart(boxes, row, column) or not (among[one] or among[other]):
+                if _boxes_apart(boxes, one, other) or not (among[one] or among[other]):
                     continue
-                if not _is_first_of_both(boxes, row, column, cell, place):
+                if not _is_first_of_both(boxes, one, other, cell, place):
                     continue
                 if faces_cross(vertices, _corners(faces, one), _corners(faces, other)):
                     if count == len(pairs):

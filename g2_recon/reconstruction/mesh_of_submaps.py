@@ -275,12 +275,12 @@ def _parted(sheet: Sheet, grain: float, workers: int) -> Sheet:
     The copies of a vertex move into their fans, which may take one through another where that lies around it, and so
     may rounding. A face is dropped there; it may leave two fans behind, so this is repeated.
     """
-    corners = np.full((*sheet.faces.shape, 3), np.nan)
+    corners = None
     while True:
         vertices, faces, _ = split_pinched(sheet.vertices, sheet.faces)
         vertices = np.round(vertices / grain) * grain
         # What stays where it was has been looked at.
-        moved = (vertices[faces] != corners).any(axis=(1, 2))
+        moved = None if corners is None else (vertices[faces] != corners).any(axis=(1, 2))
         _, sound = remove_crossings(vertices, faces, vertices, among=moved, workers=workers)
         if sound.all():
             return Sheet(vertices, faces, sheet.submap)
