@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from threading import local
 from typing import Any, TypeVar
 
@@ -35,18 +35,22 @@ def in_chunks(work: Callable[[int, int], Result], size: int, workers: int, *, ch
     results: list[Any] = [None] * len(left)
 
     def take_part() -> None:
-        while True:
-            try:
-                begin = left.popleft()
-            except IndexError:
-                return
-            results[begin // chunk] = work(begin, min(begin + chunk, size))
+        try:
+            while True:
+                try:
+                    begin = left.popleft()
+                except IndexError:
+                    return
+                results[begin // chunk] = work(begin, min(begin + chunk, size))
+        finally:
+            # After an error, or an interrupt, nobody needs the rest.
+            left.clear()
 
-    helpers = [_helpers().submit(take_part) for _ in range(min(workers, len(left)) - 1)]
+    helpers: list[Future[None]] = []
     try:
+        helpers.extend(_helpers().submit(take_part) for _ in range(min(workers, len(left)) - 1))
         take_part()
     finally:
-        # After an error, or an interrupt, the rest is not needed.
         left.clear()
         begun = [helper for helper in helpers if not helper.cancel()]
         wait(begun)
@@ -56,14 +60,16 @@ def in_chunks(work: Callable[[int, int], Result], size: int, workers: int, *, ch
 
 
 def _helpers() -> ThreadPoolExecutor:
-    """The threads that help this thread: they have its priority, as it starts them, and none waits for work of others.
-
-    They end with it. Where there are none, as in the child of a fork, the caller does all.
-    """
+    """The threads that help this thread, and end with it: they have its priority, as it starts them."""
     if not hasattr(_own, "helpers"):
         _own.helpers = ThreadPoolExecutor(os.cpu_count(), "chunks")
     helpers: ThreadPoolExecutor = _own.helpers
     return helpers
+
+
+if hasattr(os, "register_at_fork"):
+    # The child of a fork has none of the threads of its parent.
+    os.register_at_fork(after_in_child=lambda: _own.__dict__.clear())
 
 
 def taken(array: NDArray[Any], rows: NDArray[np.int64], workers: int) -> NDArray[Any]:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.errors import InputError
 from g2_recon.geometry.chunks import in_chunks, taken
 from g2_recon.geometry.selection import select
 from g2_recon.kernels import kernel
@@ -194,7 +195,12 @@ def _gap(boxes, node, low_x, low_y, low_z, high_x, high_y, high_z):  # type: ign
 
 
 def are_near(points: Float, others: Float, distance: float, workers: int) -> Mask:
-    """Mask (N,) of the points (N, 3) with another one (M, 3), all of these finite, within `distance` metres."""
+    """Mask (N,) of the points (N, 3) with another one (M, 3), all of these finite, within `distance` metres.
+
+    Raises InputError for a distance that is not finite, or below 0.
+    """
+    if not (math.isfinite(distance) and distance >= 0):
+        raise InputError(f"a distance of {distance} m", where="nearness", advice="give a length of at least 0")
     mask = np.zeros(len(points), bool)
     if len(others):
         tree = point_tree(others, workers=workers)

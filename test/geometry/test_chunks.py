@@ -46,18 +46,20 @@ def test_many_threads_do_each_part_once():
         assert sorted(seen) == list(range(0, 10_000, 100))
 
 
-def test_an_error_of_one_thread_ends_the_work_of_all():
+@pytest.mark.parametrize("in_caller", [True, False])
+def test_an_error_of_one_thread_ends_the_work_of_all(in_caller):
     done = []
 
     def work(begin, end):
-        if begin == 5:
-            raise ValueError("the sixth")
+        if (threading.current_thread() is threading.main_thread()) == in_caller:
+            raise ValueError("no more")
         time.sleep(1e-3)
         done.append(begin)
 
-    with pytest.raises(ValueError, match="the sixth"):
-        in_chunks(work, 10_000, 2, chunk=1)
-    assert len(done) < 10_000
+    with pytest.raises(ValueError, match="no more"):
+        in_chunks(work, 2_000, 2, chunk=1)
+    time.sleep(0.1)
+    assert len(done) < 1_000
 
 
 def test_the_caller_does_not_wait_for_threads_that_have_not_begun():
@@ -73,5 +75,9 @@ def test_the_child_of_a_fork_works_without_the_threads_of_its_parent():
     in_chunks(lambda begin, end: time.sleep(1e-3), 100, 2, chunk=1)
     child = os.fork()
     if not child:
-        os._exit(in_chunks(lambda begin, end: 1, 3, 2, chunk=1) != [1, 1, 1])
+        all_done = False
+        try:
+            all_done = in_chunks(lambda begin, end: 1, 3, 2, chunk=1) == [1, 1, 1]
+        finally:
+            os._exit(0 if all_done else 1)
     assert os.waitpid(child, 0)[1] == 0

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from g2_recon.errors import InputError
 from g2_recon.geometry.point_tree import BLOCK, PointTree, are_near, nearest_to_block, point_tree
 
 
@@ -153,3 +154,9 @@ def test_what_is_not_finite_is_near_to_nothing():
     points[:4, 1] = np.nan, np.inf, -np.inf, 1e300
     assert are_near(points, np.zeros((20, 3)), 0.3, 1).tolist() == [False, False, False, False, True]
     assert are_near(np.zeros((0, 3)), np.zeros((1, 3)), 0.3, 1).tolist() == []
+
+
+@pytest.mark.parametrize("distance", [np.nan, np.inf, -1.0])
+def test_a_distance_that_is_none_is_refused(distance):
+    with pytest.raises(InputError, match="a distance of"):
+        are_near(np.zeros((1, 3)), np.zeros((20, 3)), distance, 1)
