@@ -3,7 +3,7 @@
 """How functions become kernels: compiled by Numba, kept on disk, and without the lock of Python while they run.
 
 What others call is compiled with wrappers around it, for Python and for C. To compile those of all kernels takes a
-third of the time that a first start takes, and most are never called.
+quarter of the time that a first start takes, and most are never called.
 """
 
 from __future__ import annotations
