@@ -21,7 +21,6 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
 _LEAF = 4  # faces in a leaf, at most
-_CHUNK = 8192  # points that one worker takes at a time
 _LEVELS = 64
 _FARTHEST = 1e60  # m; fourth powers of coordinates stay finite
 
@@ -105,7 +104,7 @@ def closest_in_tree(points: Float, tree: TriangleTree, *, limit: float = math.in
     def search(begin: int, end: int) -> None:
         _search(local, rows[begin:end], tree, beyond, distance, face, barycentric)
 
-    in_chunks(search, len(local), workers or os.cpu_count() or 1, chunk=_CHUNK)
+    in_chunks(search, len(local), workers or os.cpu_count() or 1)
     return ClosestPlaces(distance, face, barycentric)
 
 

@@ -75,7 +75,7 @@ def _boxes(vertices, faces):  # type: ignore[no-untyped-def]
 
 def _grid_of_cells(boxes: Float, cell: float) -> tuple[PointGrid, Int]:
     """A grid with each box (F, 6) in each of the cells that it touches, and the box of each entry, sorted by cell."""
-    cells, box = _touched_cells(boxes, cell, _count_touched(boxes, cell))
+    cells, box = _touched_cells(boxes, cell)
     grid = point_grid(cells, cell=1.0)
     return grid, box[grid.order]
 
@@ -85,7 +85,7 @@ def _cell_range(low, high, cell):  # type: ignore[no-untyped-def]
     return range(math.floor(low / cell), math.floor(high / cell) + 1)
 
 
-@kernel
+@inner_kernel
 def _count_touched(boxes, cell):  # type: ignore[no-untyped-def]
     count = 0
     for box in range(len(boxes)):
@@ -97,7 +97,8 @@ def _count_touched(boxes, cell):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _touched_cells(boxes, cell, count):  # type: ignore[no-untyped-def]
+def _touched_cells(boxes, cell):  # type: ignore[no-untyped-def]
+    count = _count_touched(boxes, cell)
     cells: Float = np.empty((count, 3))
     box_of: Int = np.empty(count, np.int64)
     entry = 0
