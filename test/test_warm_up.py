@@ -31,7 +31,7 @@ def test_after_a_warm_up_nothing_is_left_to_compile(tmp_path):
     ("part", "halves", "whole", "some_of_one", "some_of_other"),
     [
         ("localization", ("smoothing", "matching"), "tracking", "solve_window", "match_on_latest"),
-        ("reconstruction", ("submaps", "joining"), "reconstruction", "_train", "_advance"),
+        ("reconstruction", ("submaps", "joining"), "reconstruction", "train_sheet", "_advance"),
     ],
 )
 def test_two_processes_compile_all_that_is_needed(part, halves, whole, some_of_one, some_of_other):

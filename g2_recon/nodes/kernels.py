@@ -16,7 +16,7 @@ from threading import Lock
 
 # What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
 _LATE_IN_SMOOTHING = "localization.pose_graph:solve_window", "localization.likelihood:search"
-_LATE_IN_SUBMAPS = "reconstruction.flat_submaps:_fit_bends"
+_LATE_IN_SUBMAPS = "reconstruction.bends:fit_bend"
 _LATE = {
     "tracking": ("localization.smoothing:_lay_on_earlier", *_LATE_IN_SMOOTHING),
     "smoothing": _LATE_IN_SMOOTHING,

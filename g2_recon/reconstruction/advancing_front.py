@@ -53,7 +53,7 @@ class _Surface(NamedTuple):
     at each vertex, or -1; following: (3 K,) the next corner at the same vertex, or -1. start, width: (3 K,) rad, the
     sector of the tangent plane that a corner covers. open_edges: (V,) open half-edges that begin or end at a vertex.
     longest: (V,) m, longest side of the faces at a vertex.
-    searches: (1,) searches for crossings so far. looked_at: (K,) the last of them that came by a face.
+    searches: (1,) searches for crossings so far. looked_at: (K,) the last of them that came by a face, or 0.
     """
 
     vertices: Float
@@ -72,11 +72,13 @@ class _Surface(NamedTuple):
 
 
 class _Heap(NamedTuple):
-    """Triangles by cost, then by vertex numbers, so that the order is the same each time. size: (1,) in use."""
+    """Triangles by cost, then by vertex numbers, so that the order is the same each time.
+
+    size: (1,) in use. rows: (K, 4) cost and vertex numbers, all of one type so that there is one array to grow.
+    """
 
     size: Int
-    cost: Float
-    triangle: Int
+    rows: Float
 
 
 def join_submaps(
@@ -106,10 +108,13 @@ def join_submaps(
         return np.empty((0, 3), np.int64)
     _check_half_edges(faces, len(vertices))
     normals = np.ascontiguousarray(normals, dtype=np.float64)
-    surface = _surface(vertices, normals, _tangent_axes(normals), faces)
+    surface, heap = _surface(vertices, normals, faces), _Heap(np.zeros(1, np.int64), np.empty((1024, 4)))
     lookup = point_grid(vertices, cell=reach)
-    all_faces = _advance(surface, lookup, grid, float(reach), float(spacing), float(support_distance))
-    return np.asarray(all_faces[len(faces) :])
+    while True:
+        heap = _advance(surface, heap, lookup, grid, float(reach), float(spacing), float(support_distance))
+        if not heap.size[0]:
+            return surface.faces[len(faces) : surface.used[0]].copy()
+        surface = _with_room(surface)
 
 
 def _check_half_edges(faces: Int, count: int) -> None:
@@ -131,50 +136,39 @@ def _tangent_axes(normals: Float) -> Float:
     return np.ascontiguousarray(np.stack([first, np.cross(normals, first)], axis=1))
 
 
-@kernel
-def _surface(vertices, normals, axes, faces):  # type: ignore[no-untyped-def]
+def _surface(vertices: Float, normals: Float, faces: Int) -> _Surface:
     count = len(vertices)
     room = len(faces) + count // 2 + 8
     surface = _Surface(
-        vertices,
-        normals,
-        axes,
-        np.zeros(1, np.int64),
-        np.empty((room, 3), np.int64),
-        np.full(count, -1, np.int64),
-        np.empty(3 * room, np.int64),
-        np.empty(3 * room),
-        np.empty(3 * room),
-        np.zeros(count, np.int64),
-        np.zeros(count),
-        np.zeros(1, np.int64),
-        np.full(room, -1, np.int64),
+        vertices=vertices,
+        normals=normals,
+        axes=_tangent_axes(normals),
+        used=np.zeros(1, np.int64),
+        faces=np.empty((room, 3), np.int64),
+        first=np.full(count, -1),
+        following=np.empty(3 * room, np.int64),
+        start=np.empty(3 * room),
+        width=np.empty(3 * room),
+        open_edges=np.zeros(count, np.int64),
+        longest=np.zeros(count),
+        searches=np.zeros(1, np.int64),
+        looked_at=np.zeros(room, np.int64),
     )
-    for face in faces:
-        _add_face(surface, face[0], face[1], face[2])
+    _add_faces(surface, faces)
     return surface
 
 
-@inner_kernel
-def _with_room(surface):  # type: ignore[no-untyped-def]
-    """The surface, with arrays of twice the size if no further face has room."""
-    if surface.used[0] < len(surface.faces):
-        return surface
-    return _Surface(
-        surface.vertices,
-        surface.normals,
-        surface.axes,
-        surface.used,
-        np.concatenate((surface.faces, np.empty_like(surface.faces))),
-        surface.first,
-        np.concatenate((surface.following, np.empty_like(surface.following))),
-        np.concatenate((surface.start, np.empty_like(surface.start))),
-        np.concatenate((surface.width, np.empty_like(surface.width))),
-        surface.open_edges,
-        surface.longest,
-        surface.searches,
-        np.concatenate((surface.looked_at, np.full_like(surface.looked_at, -1))),
-    )
+def _with_room(surface: _Surface) -> _Surface:
+    """The surface, with arrays for twice as many faces."""
+    of_faces = ("faces", "following", "start", "width", "looked_at")
+    arrays = {name: getattr(surface, name) for name in of_faces}
+    return surface._replace(**{name: np.concatenate((array, np.zeros_like(array))) for name, array in arrays.items()})
+
+
+@kernel
+def _add_faces(surface, faces):  # type: ignore[no-untyped-def]
+    for face in range(len(faces)):
+        _add_face(surface, faces[face, 0], faces[face, 1], faces[face, 2])
 
 
 @inner_kernel
@@ -407,18 +401,21 @@ def _meets_box(vertices, face, low, high):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _advance(surface, lookup, grid, reach, spacing, support_distance):  # type: ignore[no-untyped-def]
-    """All faces after the front has come to rest, the given ones first."""
+def _advance(surface, heap, lookup, grid, reach, spacing, support_distance):  # type: ignore[no-untyped-def]
+    """Add faces until the front has come to rest, where the heap ends empty, or no further one has room.
+
+    heap: empty at first, then as it was returned.
+    """
     longest = reach
     for vertex in range(len(surface.longest)):
         longest = max(longest, surface.longest[vertex])
-    heap = _Heap(np.zeros(1, np.int64), np.empty(1024), np.empty((1024, 3), np.int64))
-    for face in range(surface.used[0]):
-        for corner in range(3):
-            begin, end = surface.faces[face, corner], surface.faces[face, (corner + 1) % 3]
-            if _face_at(surface, end, begin) < 0:
-                heap = _ask(surface, heap, lookup, end, begin, reach, spacing)
-    while heap.size[0] > 0:
+    if heap.size[0] == 0:
+        for face in range(surface.used[0]):
+            for corner in range(3):
+                begin, end = surface.faces[face, corner], surface.faces[face, (corner + 1) % 3]
+                if _face_at(surface, end, begin) < 0:
+                    heap = _ask(surface, heap, lookup, end, begin, reach, spacing)
+    while heap.size[0] > 0 and surface.used[0] < len(surface.faces):
         a, b, c = _pop(heap)
         if not _fits(surface, a, b, c):
             continue
@@ -430,46 +427,41 @@ def _advance(surface, lookup, grid, reach, spacing, support_distance):  # type: 
             continue
         if _crosses_surface(surface, lookup, a, b, c, longest):
             continue
-        surface = _with_room(surface)
         _add_face(surface, a, b, c)
         if _face_at(surface, c, b) < 0:
             heap = _ask(surface, heap, lookup, c, b, reach, spacing)
         if _face_at(surface, a, c) < 0:
             heap = _ask(surface, heap, lookup, a, c, reach, spacing)
-    return surface.faces[: surface.used[0]].copy()
+    return heap
 
 
 @inner_kernel
 def _before(heap, one, other):  # type: ignore[no-untyped-def]
-    if heap.cost[one] != heap.cost[other]:
-        return heap.cost[one] < heap.cost[other]
-    for corner in range(3):
-        if heap.triangle[one, corner] != heap.triangle[other, corner]:
-            return heap.triangle[one, corner] < heap.triangle[other, corner]
+    for column in range(4):
+        if heap.rows[one, column] != heap.rows[other, column]:
+            return heap.rows[one, column] < heap.rows[other, column]
     return False
 
 
 @inner_kernel
 def _swap(heap, one, other):  # type: ignore[no-untyped-def]
-    heap.cost[one], heap.cost[other] = heap.cost[other], heap.cost[one]
-    for corner in range(3):
-        kept = heap.triangle[one, corner]
-        heap.triangle[one, corner] = heap.triangle[other, corner]
-        heap.triangle[other, corner] = kept
+    for column in range(4):
+        kept = heap.rows[one, column]
+        heap.rows[one, column] = heap.rows[other, column]
+        heap.rows[other, column] = kept
 
 
 @inner_kernel
 def _push(heap, cost, a, b, c):  # type: ignore[no-untyped-def]
-    if heap.size[0] == len(heap.cost):
-        heap = _Heap(
-            heap.size,
-            np.concatenate((heap.cost, np.empty_like(heap.cost))),
-            np.concatenate((heap.triangle, np.empty_like(heap.triangle))),
-        )
     place = heap.size[0]
+    if place == len(heap.rows):
+        rows = np.empty((2 * place, 4))
+        for row in range(place):
+            for column in range(4):
+                rows[row, column] = heap.rows[row, column]
+        heap = _Heap(heap.size, rows)
     heap.size[0] += 1
-    heap.cost[place] = cost
-    heap.triangle[place, 0], heap.triangle[place, 1], heap.triangle[place, 2] = a, b, c
+    heap.rows[place, 0], heap.rows[place, 1], heap.rows[place, 2], heap.rows[place, 3] = cost, a, b, c
     while place > 0 and _before(heap, place, (place - 1) // 2):
         _swap(heap, place, (place - 1) // 2)
         place = (place - 1) // 2
@@ -479,7 +471,7 @@ def _push(heap, cost, a, b, c):  # type: ignore[no-untyped-def]
 @inner_kernel
 def _pop(heap):  # type: ignore[no-untyped-def]
     """Remove the cheapest triangle."""
-    a, b, c = heap.triangle[0, 0], heap.triangle[0, 1], heap.triangle[0, 2]
+    a, b, c = int(heap.rows[0, 1]), int(heap.rows[0, 2]), int(heap.rows[0, 3])
     heap.size[0] -= 1
     size = heap.size[0]
     place = ZERO

@@ -84,9 +84,9 @@ def _by_tiles(x, y, tiles):  # type: ignore[no-untyped-def]
 def _boxes(points, begin):  # type: ignore[no-untyped-def]
     """Lowest and highest coordinates (T, 2, 3) of the points of each tile; of an empty one, none at all."""
     boxes = np.empty((len(begin) - 1, 2, 3), np.float32)
-    boxes[:, 0], boxes[:, 1] = _LARGEST, -_LARGEST
     for tile in range(len(boxes)):
         for axis in range(3):
+            boxes[tile, 0, axis], boxes[tile, 1, axis] = _LARGEST, -_LARGEST
             for i in range(begin[tile], begin[tile + 1]):
                 boxes[tile, 0, axis] = min(boxes[tile, 0, axis], points[axis, i])
                 boxes[tile, 1, axis] = max(boxes[tile, 1, axis], points[axis, i])
@@ -157,7 +157,7 @@ def _near_tile(tile, box, neurons, rows, columns, strips, patches, columns_of, n
                         number[chosen] = j
                         chosen += 1
     while chosen % 4:
-        columns_of[:, chosen] = _FAR_OFF
+        columns_of[0, chosen] = columns_of[1, chosen] = columns_of[2, chosen] = _FAR_OFF
         chosen += 1
     return chosen
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from g2_recon.geometry.sorting import ascending
 from g2_recon.kernels import inner_kernel, kernel
 
 
@@ -17,9 +18,14 @@ def bounding_rectangle(x, y, stray):  # type: ignore[no-untyped-def]
     One side of the smallest rectangle around all points is a side of their convex hull (Freeman and Shapira, 1975).
     """
     first, lower, upper = _ends_of_columns(x, y)
-    low_side, high_side = _lower_chain(first, lower), _lower_chain(first, -upper)
-    hull_x = np.concatenate((first[low_side], first[high_side]))
-    hull_y = np.concatenate((lower[low_side], upper[high_side]))
+    low_side = _chain(first, lower, 1.0)
+    high_side = _chain(first, upper, -1.0)
+    hull_x, hull_y = np.empty(len(low_side) + len(high_side)), np.empty(len(low_side) + len(high_side))
+    for i in range(len(low_side)):
+        hull_x[i], hull_y[i] = first[low_side[i]], lower[low_side[i]]
+    for i in range(len(high_side)):
+        place = len(low_side) + i
+        hull_x[place], hull_y[place] = first[high_side[i]], upper[high_side[i]]
     # Sides that join the two chains are upright: an angle of 0.
     cosine, sine = 1.0, 0.0
     smallest = _area(hull_x, hull_y, cosine, sine)
@@ -34,9 +40,13 @@ def bounding_rectangle(x, y, stray):  # type: ignore[no-untyped-def]
         area = _area(hull_x, hull_y, along / length, across / length)
         if area < smallest:
             smallest, cosine, sine = area, along / length, across / length
-    low, high = np.empty(2), np.empty(2)
-    low[0], high[0] = _quantiles(cosine * x + sine * y, stray)
-    low[1], high[1] = _quantiles(cosine * y - sine * x, stray)
+    low, high, turned = np.empty(2), np.empty(2), np.empty(len(x))
+    for i in range(len(x)):
+        turned[i] = cosine * x[i] + sine * y[i]
+    low[0], high[0] = _quantiles(turned, stray)
+    for i in range(len(x)):
+        turned[i] = cosine * y[i] - sine * x[i]
+    low[1], high[1] = _quantiles(turned, stray)
     return cosine, sine, low, high
 
 
@@ -45,7 +55,7 @@ def _ends_of_columns(x, y):  # type: ignore[no-untyped-def]
     """The distinct x, ascending, and the lowest and the highest y at each; no other point is a corner of the hull."""
     columns, lower, upper = np.empty(len(x)), np.empty(len(x)), np.empty(len(x))
     count = 0
-    for i in np.argsort(x):
+    for i in ascending(x):
         if count == 0 or x[i] > columns[count - 1]:
             columns[count], lower[count], upper[count] = x[i], y[i], y[i]
             count += 1
@@ -56,14 +66,17 @@ def _ends_of_columns(x, y):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _lower_chain(x, y):  # type: ignore[no-untyped-def]
-    """Numbers of the points on the lower side of the convex hull; x ascends (Andrew's monotone chain, 1979)."""
+def _chain(x, y, side):  # type: ignore[no-untyped-def]
+    """Numbers of the points on the lower (side 1) or upper (-1) side of the convex hull; x ascends.
+
+    Andrew's monotone chain, 1979.
+    """
     chain = np.empty(len(x), np.int64)
     count = 0
     for i in range(len(x)):
         while count >= 2:
             a, b = chain[count - 2], chain[count - 1]
-            if (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a]) > 0.0:
+            if side * ((x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a])) > 0.0:
                 break
             count -= 1
         chain[count] = i
@@ -89,8 +102,7 @@ def _quantiles(values, share):  # type: ignore[no-untyped-def]
     place = share * last
     rank = int(place)
     following = min(rank + 1, last)
-    # As above: Numba compiles each way of sorting for itself.
-    order = np.argsort(values)
+    order = ascending(values)
     low, high = values[order[rank]], values[order[last - rank]]
     return (
         low + (place - rank) * (values[order[following]] - low),

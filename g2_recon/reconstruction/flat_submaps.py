@@ -6,13 +6,16 @@ from __future__ import annotations
 
 import math
 import os
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count as count_up
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from g2_recon.geometry.chunks import in_chunks
 from g2_recon.geometry.sorting import sort_by_counting
 from g2_recon.kernels import kernel
 from g2_recon.progress import Progress, silent
@@ -34,8 +37,6 @@ _THIN_SPACING = 0.01
 # What is narrower than this share of the spacing is a line, such as a scan with none beside it. It stands for the
 # surface on both sides of it: its map is this share of the spacing wide.
 _LINE, _LINE_WIDTH = 0.25, 0.5
-# Clusters go to the workers in so many groups, the largest first.
-_GROUPS = 64
 # The plane of a neuron tilts by less than 45 deg against that of its cluster.
 _LEAST_UPRIGHT = 0.7
 # A symmetric matrix from its upper half.
@@ -85,24 +86,31 @@ def train_submaps(
     """
     count = len(plane_center)
     order, begin = sort_by_counting(label, count)
-    groups = _groups(np.diff(begin))
     weights = weights[order]
     hexagonal = lattice == "hexagonal"
     flat = _Flat(np.empty((3, len(points))), _frames(plane_normal), np.empty((count, 2)), np.empty((count, 2)))
     bends, across, bmu = np.empty((count, 6)), np.empty(count), np.empty(len(points), np.int64)
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        list(pool.map(lambda group: _lay_flat(group, points, order, begin, plane_center, *flat), groups))
-        neurons, sheets = _sheets(lattice, flat, spacing)
 
-        def train(group: Int) -> int:
-            _train(group, begin, flat.points, weights, neurons, sheets.first, sheets.shape, hexagonal, epochs, bmu)
-            _fit_bends(group, begin, flat.points, weights, spacing, noise, bends, across)
-            return len(group)
+    def lay_flat(k: int) -> None:
+        own = slice(begin[k], begin[k + 1])
+        _lay_flat(points, order[own], plane_center[k], flat.frames[k], *flat.points[:, own], flat.low[k], flat.high[k])
 
-        done = 0
-        for trained in pool.map(train, groups):
-            done += trained
-            progress("training", done, count)
+    _for_each(lay_flat, begin, workers)
+    neurons, sheets = _sheets(lattice, flat, spacing)
+    done, one_at_a_time = count_up(1), Lock()
+
+    def train(k: int) -> None:
+        own, first = slice(begin[k], begin[k + 1]), sheets.first[k]
+        x, y, z = flat.points[:, own]
+        rows, columns = sheets.shape[k]
+        sheet = neurons[first : first + rows * columns]
+        train_sheet(x, y, z, weights[own], sheet, rows, columns, hexagonal, epochs, bmu[own])
+        bmu[own] += first
+        bends[k], across[k] = fit_bend(x, y, z, weights[own], spacing, noise)
+        with one_at_a_time:
+            progress("training", next(done), count)
+
+    _for_each(train, begin, workers)
     thin = max(_THIN_SPACING * spacing, _THIN_NOISE * noise)
     submap, bent = sheets.submap, across < thin
     # The plane of the cluster, where nothing better is known.
@@ -156,12 +164,10 @@ class _Sheets(NamedTuple):
     lattices: list[Lattice]
 
 
-def _groups(sizes: Int) -> list[Int]:
-    """Clusters (K,) in groups of about the same number of points, the largest clusters first in each."""
-    largest_first = np.argsort(-sizes, kind="stable")
-    number = min(len(sizes), _GROUPS)
-    # Contiguous, so that the kernels are compiled once for all sizes.
-    return [np.ascontiguousarray(largest_first[start::number]) for start in range(number)]
+def _for_each(work: Callable[[int], None], begin: Int, workers: int) -> None:
+    """Do the work of each cluster, in parallel, that of the largest first; begin: (K + 1,) of their points."""
+    largest_first = np.argsort(-np.diff(begin), kind="stable").tolist()
+    in_chunks(lambda place, _: work(largest_first[place]), len(largest_first), workers or os.cpu_count() or 1, chunk=1)
 
 
 def _frames(normals: Float) -> Float:
@@ -172,28 +178,24 @@ def _frames(normals: Float) -> Float:
 
 
 @kernel
-def _lay_flat(group, points, order, begin, center, local, frames, low, high):  # type: ignore[no-untyped-def]
-    """Points of the clusters of a group into their frames, and these turned to the smallest rectangle; see _Flat."""
-    for k in group:
-        frame = frames[k].copy()
-        x, y, z = (
-            local[0, begin[k] : begin[k + 1]],
-            local[1, begin[k] : begin[k + 1]],
-            local[2, begin[k] : begin[k + 1]],
-        )
-        for i in range(len(x)):
-            p = order[begin[k] + i]
-            a, b, c = points[p, 0] - center[k, 0], points[p, 1] - center[k, 1], points[p, 2] - center[k, 2]
-            x[i] = a * frame[0, 0] + b * frame[0, 1] + c * frame[0, 2]
-            y[i] = a * frame[1, 0] + b * frame[1, 1] + c * frame[1, 2]
-            z[i] = a * frame[2, 0] + b * frame[2, 1] + c * frame[2, 2]
-        cosine, sine, own_low, own_high = bounding_rectangle(x, y, _STRAY)
-        low[k, 0], low[k, 1], high[k, 0], high[k, 1] = own_low[0], own_low[1], own_high[0], own_high[1]
-        for i in range(len(x)):
-            x[i], y[i] = cosine * x[i] + sine * y[i], cosine * y[i] - sine * x[i]
-        for axis in range(3):
-            frames[k, 0, axis] = cosine * frame[0, axis] + sine * frame[1, axis]
-            frames[k, 1, axis] = cosine * frame[1, axis] - sine * frame[0, axis]
+def _lay_flat(points, order, center, frame, x, y, z, low, high):  # type: ignore[no-untyped-def]
+    """Those of points (N, 3) whose numbers are in order (n,) into the frame of their cluster: x, y, z (n,).
+
+    Before, its x and y axis are turned to the smallest rectangle around them, whose corners are low and high (2,).
+    """
+    for i in range(len(order)):
+        p = order[i]
+        a, b, c = points[p, 0] - center[0], points[p, 1] - center[1], points[p, 2] - center[2]
+        x[i] = a * frame[0, 0] + b * frame[0, 1] + c * frame[0, 2]
+        y[i] = a * frame[1, 0] + b * frame[1, 1] + c * frame[1, 2]
+        z[i] = a * frame[2, 0] + b * frame[2, 1] + c * frame[2, 2]
+    cosine, sine, own_low, own_high = bounding_rectangle(x, y, _STRAY)
+    low[0], low[1], high[0], high[1] = own_low[0], own_low[1], own_high[0], own_high[1]
+    for i in range(len(order)):
+        x[i], y[i] = cosine * x[i] + sine * y[i], cosine * y[i] - sine * x[i]
+    for axis in range(3):
+        one, other = frame[0, axis], frame[1, axis]
+        frame[0, axis], frame[1, axis] = cosine * one + sine * other, cosine * other - sine * one
 
 
 def _sheets(kind: Kind, flat: _Flat, spacing: float) -> tuple[Float, _Sheets]:
@@ -211,29 +213,6 @@ def _sheets(kind: Kind, flat: _Flat, spacing: float) -> tuple[Float, _Sheets]:
     share = (np.column_stack([row, column + shift]) + 0.5) / shape[submap]
     place = flat.low[submap] + (flat.high - flat.low)[submap] * share
     return np.column_stack([place, np.zeros(len(place))]), _Sheets(submap, first, shape, lattices)
-
-
-@kernel
-def _train(group, begin, local, weights, neurons, first, shape, hexagonal, epochs, bmu):  # type: ignore[no-untyped-def]
-    """The maps of a group, trained in place, and the best matching unit (N,) of each of their points."""
-    for k in group:
-        a, b, rows, columns = begin[k], begin[k + 1], shape[k, 0], shape[k, 1]
-        own = neurons[first[k] : first[k] + rows * columns]
-        train_sheet(
-            local[0, a:b], local[1, a:b], local[2, a:b], weights[a:b], own, rows, columns, hexagonal, epochs, bmu[a:b]
-        )
-        for i in range(a, b):
-            bmu[i] += first[k]
-
-
-@kernel
-def _fit_bends(group, begin, local, weights, spacing, noise, bends, across):  # type: ignore[no-untyped-def]
-    """The bend (K, 6) of each cluster of a group and the deviation (K,) m of its points, see fit_bend."""
-    for k in group:
-        a, b = begin[k], begin[k + 1]
-        bend, across[k] = fit_bend(local[0, a:b], local[1, a:b], local[2, a:b], weights[a:b], spacing, noise)
-        for i in range(len(bend)):
-            bends[k, i] = bend[i]
 
 
 def _take_local_planes(

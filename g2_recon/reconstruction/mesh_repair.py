@@ -480,7 +480,7 @@ def _turn(vertices, normal, vertex, one, other):  # type: ignore[no-untyped-def]
     x, y, z = vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2]
     ux, uy, uz = vertices[one, 0] - x, vertices[one, 1] - y, vertices[one, 2] - z
     vx, vy, vz = vertices[other, 0] - x, vertices[other, 1] - y, vertices[other, 2] - z
-    length = max(math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-300)
+    length = max(math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]), 1e-300)
     nx, ny, nz = normal[0] / length, normal[1] / length, normal[2] / length
     un = ux * nx + uy * ny + uz * nz
     vn = vx * nx + vy * ny + vz * nz
