@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from g2_recon.kernels import inner_kernel, kernel
+from g2_recon.kernels import kernel
 
 # Shorter runs are sorted faster by insertion than by merging.
 _RUN = 16
@@ -28,7 +28,7 @@ def sort_by_counting(number, count):  # type: ignore[no-untyped-def]
     return order, begin
 
 
-@inner_kernel
+@kernel
 def ascending(values):  # type: ignore[no-untyped-def]
     """The order (N,) that sorts values (N,), equal ones as they come; Numba takes far longer to compile argsort.
 
