@@ -32,7 +32,8 @@ def sort_by_counting(number, count):  # type: ignore[no-untyped-def]
 def ascending(values):  # type: ignore[no-untyped-def]
     """The order (N,) that sorts values (N,), equal ones as they come; Numba takes far longer to compile argsort.
 
-    Runs by insertion, then merged (Knuth, The Art of Computer Programming, volume 3, section 5.2.4).
+    Where some are not a number, some order. Runs by insertion, then merged (Knuth, The Art of Computer Programming,
+    volume 3, section 5.2.4).
     """
     count = len(values)
     order, other = np.empty(count, np.int64), np.empty(count, np.int64)

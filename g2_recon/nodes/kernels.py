@@ -16,7 +16,7 @@ from threading import Lock
 
 # What is compiled late in each part of g2_recon.warm_up tells whether all of it was.
 _LATE_IN_SMOOTHING = "localization.pose_graph:solve_window", "localization.likelihood:search"
-_LATE_IN_SUBMAPS = "reconstruction.bends:fit_bend"
+_LATE_IN_SUBMAPS = "reconstruction.flat_submaps:_lay_flat", "reconstruction.bends:fit_bend"
 _LATE = {
     "tracking": ("localization.smoothing:_lay_on_earlier", *_LATE_IN_SMOOTHING),
     "smoothing": _LATE_IN_SMOOTHING,
@@ -25,13 +25,13 @@ _LATE = {
     "reconstruction": (
         "reconstruction.advancing_front:_advance",
         "reconstruction.mesh_repair:_next_along",
-        _LATE_IN_SUBMAPS,
+        *_LATE_IN_SUBMAPS,
     ),
-    "submaps": (_LATE_IN_SUBMAPS,),
+    "submaps": _LATE_IN_SUBMAPS,
 }
 
-# A tenth of the processor for what no message waits for, where others want it, too; and a tenth of that for the
-# kernels of loops: a robot takes minutes until it closes one, and a mesh would wait for them.
+# A tenth of the processor for what no message waits for, where others want it, too; and less for the kernels of loops:
+# a robot takes minutes until it closes one, and a mesh would wait for them.
 _NICENESS = 10
 _NICENESS_OF_LOOPS = 19
 

@@ -145,7 +145,7 @@ def _surface(vertices: Float, normals: Float, faces: Int) -> _Surface:
         axes=_tangent_axes(normals),
         used=np.zeros(1, np.int64),
         faces=np.empty((room, 3), np.int64),
-        first=np.full(count, -1),
+        first=np.full(count, -1, np.int64),
         following=np.empty(3 * room, np.int64),
         start=np.empty(3 * room),
         width=np.empty(3 * room),

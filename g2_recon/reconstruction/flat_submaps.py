@@ -179,9 +179,10 @@ def _frames(normals: Float) -> Float:
 
 @kernel
 def _lay_flat(points, order, center, frame, x, y, z, low, high):  # type: ignore[no-untyped-def]
-    """Those of points (N, 3) whose numbers are in order (n,) into the frame of their cluster: x, y, z (n,).
+    """Turn the frame (3, 3) of a cluster to the smallest rectangle around it; see _Flat.
 
-    Before, its x and y axis are turned to the smallest rectangle around them, whose corners are low and high (2,).
+    order: (n,) which of points (N, 3) it has. frame, their coordinates in it, x, y, z (n,), and the corners of the
+    rectangle, low and high (2,), are filled in.
     """
     for i in range(len(order)):
         p = order[i]

@@ -85,7 +85,7 @@ def test_only_what_messages_wait_for_is_compiled_at_full_priority(monkeypatch):
     popen, waits = subprocess.Popen, [sys.executable, "-c", "input()"]
     monkeypatch.setattr(kernels.subprocess, "Popen", lambda command, **how: popen(waits, stdin=subprocess.PIPE, **how))
     monkeypatch.setattr(kernels, "are_cached", lambda part: False)
-    compiler = kernels.KernelCompiler(["tracking", "localization"], "tracking")
+    compiler = kernels.KernelCompiler(["tracking", "localization", "reconstruction"], "tracking")
     own, niceness = os.getpriority(os.PRIO_PROCESS, 0), {}
     while compiler.parts_left():
         while compiler._to_be_lowered:
@@ -95,7 +95,11 @@ def test_only_what_messages_wait_for_is_compiled_at_full_priority(monkeypatch):
         of_session = int(Path(f"/proc/{process.pid}/autogroup").read_text().split()[-1])
         niceness[compiler.parts_left()[0]] = os.getpriority(os.PRIO_PROCESS, process.pid), of_session
         process.communicate(b"\n")
-    assert niceness == {"tracking": (own, 0), "localization": (max(19, own), 19)}
+    assert niceness == {
+        "tracking": (own, 0),
+        "localization": (max(19, own), 19),
+        "reconstruction": (max(10, own), 10),
+    }
 
 
 def test_where_all_kernels_are_on_the_disk_none_is_compiled(monkeypatch):
