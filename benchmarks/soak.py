@@ -51,8 +51,9 @@ STANDING_S = DRIVING_S = 600.0
 MINUTE_S = 60.0
 # From where the tour ends to where it begins.
 _BACK = ((5.40, 4.20), (5.40, 1.00))
-# Memory is looked at so often, s of wall time.
-_PERIOD_S = 1.0
+# Memory is looked at so often, s of wall time: an update of the mesh takes less than a second, and what it takes most
+# less than a tenth of that.
+_PERIOD_S = 0.02
 # The replay is held where poses are so much older than its clock, until they are not, s.
 _MOST_BEHIND_S, _FEW_BEHIND_S = 3.0, 0.5
 # What the replay had sent is done when memory has stood still for so long, s of wall time.
@@ -120,7 +121,7 @@ def measure(bag: Path, rate: float, session: Path) -> tuple[Float, dict[str, Flo
         while not ended or time.monotonic() < ended + _AFTERWARDS_S:
             until = time.monotonic() + _PERIOD_S
             while time.monotonic() < until:
-                rclpy.spin_once(node, timeout_sec=0.1)
+                rclpy.spin_once(node, timeout_sec=_PERIOD_S)
                 del clock[:-1], pose[:-1]
                 behind = clock[-1] - pose[-1] if pose[-1] else 0.0
                 if held != (behind > (_FEW_BEHIND_S if held else _MOST_BEHIND_S)):
