@@ -288,14 +288,15 @@ def _add_submaps(
 def _inherited(label: Int, before: NDArray[np.int32], count: int, given: int) -> tuple[Int, int]:
     """Names (count,) of clusters, and how many have been given now.
 
-    label: (n,) cluster of each point and before: (n,) its name before, -1 for none. Those that share the most points
-    come first; what inherits no name gets a new one.
+    label: (n,) cluster of each point and before: (n,) its name before, -1 for none, of `given` that there were. Those
+    that share the most points come first; what inherits no name gets a new one.
     """
     both = (label >= 0) & (before >= 0)
-    pairs, shared = np.unique(np.stack([label[both], before[both]]), axis=1, return_counts=True)
+    pairs, shared = np.unique(label[both] * given + before[both], return_counts=True)
     names = np.full(count, -1)
     taken: set[int] = set()
-    for cluster, name in pairs[:, np.argsort(-shared, kind="stable")].T.tolist():
+    for pair in pairs[np.argsort(-shared, kind="stable")].tolist():
+        cluster, name = divmod(pair, given)
         if names[cluster] < 0 and name not in taken:
             names[cluster] = name
             taken.add(name)
