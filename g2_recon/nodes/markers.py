@@ -162,15 +162,17 @@ class MarkerTopic:
             self._head, self._shown, self._due = head, {}, math.inf
             self._publisher.publish(serialized(head, {}, delete_all=True))
 
-    def settle(self, now: float) -> None:
-        """To be called a few times a second: sends everything where it is due."""
+    def settle(self, now: float) -> bool:
+        """To be called a few times a second: sends everything where it is due; whether it was."""
         with self._lock:
             before, self._subscribers = self._subscribers, self._publisher.get_subscription_count()
-            if self._subscribers > before and self._shown:
-                self._send_all(now)
+            somebody_came = self._subscribers > before and bool(self._shown)
+            if not somebody_came and now < self._due:
+                return False
+            self._send_all(now)
+            if somebody_came:
                 self._due = now + _SETTLED_S
-            elif now >= self._due:
-                self._send_all(now)
+            return True
 
     def _send_all(self, now: float) -> None:
         self._publisher.publish(serialized(self._head, self._shown, delete_all=True))
@@ -195,14 +197,17 @@ def serialized(
 
 
 class _Writer:
-    """Bytes of a message in CDR (OMG, DDS-XTypes 1.3, section 7.4, version 1): all is aligned to its size."""
+    """Bytes of a message in CDR (OMG, DDS-XTypes 1.3, section 7.4, version 1): all is aligned to its size.
+
+    Arrays are not copied before the message is put together.
+    """
 
     def __init__(self) -> None:
-        self._parts: list[bytes] = []
+        self._parts: list[bytes | memoryview] = []
         self._size = 0
 
     def message(self) -> bytes:
-        return b"\x00\x01\x00\x00" + b"".join(self._parts)
+        return b"".join([b"\x00\x01\x00\x00", *self._parts])
 
     def numbers(self, kinds: str, *values: float) -> None:
         """Numbers of kinds of one size, as for struct.pack."""
@@ -219,12 +224,12 @@ class _Writer:
         self.numbers("I", len(values))
         if len(values):
             self._align(values.itemsize)
-            self._add(values.tobytes())
+            self._add(values.reshape(-1).view(np.uint8).data)
 
     def _align(self, size: int) -> None:
         self._add(b"\0" * (-self._size % size))
 
-    def _add(self, data: bytes) -> None:
+    def _add(self, data: bytes | memoryview) -> None:
         self._parts.append(data)
         self._size += len(data)
 
