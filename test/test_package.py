@@ -202,11 +202,11 @@ def test_ros2_launch_finds_what_is_shared(prefix: Path, folder: str) -> None:
     assert files(prefix / "share/g2_recon" / folder) == files(ROOT / folder) != []
 
 
-def test_every_module_is_installed_and_so_is_the_sign_that_it_has_types(installed: Distribution) -> None:
-    def modules(top: Path) -> set[str]:
-        return {str(path.relative_to(top)) for pattern in ("*.py", "py.typed") for path in top.rglob(pattern)}
+def test_every_module_is_installed_and_so_is_what_else_it_needs(installed: Distribution) -> None:
+    def files(top: Path) -> set[str]:
+        return {str(path.relative_to(top)) for name in ("*.py", "*.xml", "py.typed") for path in top.rglob(name)}
 
-    assert modules(Path(str(installed.locate_file("g2_recon")))) == modules(ROOT / "g2_recon")
+    assert files(Path(str(installed.locate_file("g2_recon")))) == files(ROOT / "g2_recon")
 
 
 def test_a_sourced_workspace_goes_before_the_source_tree(

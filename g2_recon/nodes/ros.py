@@ -28,6 +28,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from g2_recon.errors import G2ReconError
 from g2_recon.nodes import conversions
 from g2_recon.nodes.executor import NodeExecutor
+from g2_recon.nodes.fast_dds import use_profile
 from g2_recon.nodes.memory import save_memory
 from g2_recon.switching import switch_soon
 
@@ -100,6 +101,7 @@ def _interrupted_once() -> Iterator[None]:
 
 def _run(create: Sequence[Callable[[], Node]], args: Sequence[str] | None) -> int:
     save_memory()
+    use_profile()
     try:
         rclpy.init(args=None if args is None else list(args))
     except RuntimeError as error:
