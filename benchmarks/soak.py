@@ -121,13 +121,14 @@ def measure(bag: Path, rate: float, session: Path) -> tuple[Float, dict[str, Flo
         while not ended or time.monotonic() < ended + _AFTERWARDS_S:
             until = time.monotonic() + _PERIOD_S
             while time.monotonic() < until:
-                rclpy.spin_once(node, timeout_sec=_PERIOD_S)
+                rclpy.spin_once(node, timeout_sec=max(0.0, until - time.monotonic()))
                 del clock[:-1], pose[:-1]
                 behind = clock[-1] - pose[-1] if pose[-1] else 0.0
                 if held != (behind > (_FEW_BEHIND_S if held else _MOST_BEHIND_S)):
                     held = not held
                     pause.call_async(SetBool.Request(data=held))
-            stamps.append(clock[-1])
+            # What is done after the end of the replay is of no minute, but of what comes later.
+            stamps.append(clock[-1] + (time.monotonic() - ended if ended else 0.0))
             for name, process in processes.items():
                 memory[name].append(anonymous_mb(process.pid))
             if not ended and replay.poll() is not None:
@@ -149,11 +150,14 @@ def anonymous_mb(pid: int) -> float:
 def rows_of(stamps: Float, memory: dict[str, Float], stands: float) -> list[Row]:
     """What each node takes, and all of them, in the first minute of a part of the recording and after that."""
     rows = []
-    for part, since, lasts in (("standing", stands, STANDING_S), ("driving", stands + STANDING_S, DRIVING_S)):
+    for part, since, lasts, until in (
+        ("standing", stands, STANDING_S, STANDING_S),
+        ("driving", stands + STANDING_S, DRIVING_S, np.inf),
+    ):
         for name, values in [*memory.items(), ("all", np.sum(list(memory.values()), axis=0))]:
             first, later, last = (
                 values[(stamps > since + begin) & (stamps <= since + end)]
-                for begin, end in ((0, MINUTE_S), (MINUTE_S, lasts), (lasts - MINUTE_S, lasts))
+                for begin, end in ((0, MINUTE_S), (MINUTE_S, until), (lasts - MINUTE_S, lasts))
             )
             rows.append(
                 {

@@ -23,7 +23,7 @@ _FILES_HERE = "DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml"
 def use_profile() -> bool:
     """Have Fast DDS take its profile from the file beside this one, unless the user wants another; whether it does.
 
-    To be called before rclpy.init.
+    To be called before the first rclpy.init of a process, as Fast DDS reads the file once.
     """
     if any(name in os.environ for name in _WISHES) or any(Path(name).exists() for name in _FILES_HERE):
         return False
