@@ -87,13 +87,13 @@ def test_a_recording_becomes_a_mesh_in_one_process(ros, start, bag, tmp_path):
         "-p", f"reconstruct_node:session_dir:={tmp_path}/session",
     )  # fmt: skip
 
-    def received():
-        return status.get("/reconstruct_node", {}).get("received cloud")
+    def said(node, key):
+        return status.get(node, {}).get(key)
 
     # The first of the vertical scans has no pose before it.
-    harness.wait_until(lambda: received() == str(SCANS - 1), 60)
-    # Each node says so once a second, at a time of its own.
-    harness.wait_until(lambda: status["/localizer_node"]["localized scans"] == str(SCANS), 5)
+    harness.wait_until(lambda: said("/reconstruct_node", "received cloud") == str(SCANS - 1), 60)
+    # Each node says so once a second, at a time of its own, and may be heard for the first time only now.
+    harness.wait_until(lambda: said("/localizer_node", "localized scans") == str(SCANS), 5)
     assert set(status) == {"/localizer_node", "/registrar_node", "/reconstruct_node", "/replay_node"}
     answer = harness.call(Trigger, "reconstruct_node/reconstruct")
     assert answer.success, answer.message
