@@ -23,6 +23,7 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from g2_recon.geometry.mesh import Mesh, WireMesh
+from g2_recon.nodes.memory import give_back_memory
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -162,20 +163,20 @@ class MarkerTopic:
             self._head, self._shown, self._due = head, {}, math.inf
             self._publisher.publish(serialized(head, {}, delete_all=True))
 
-    def settle(self, now: float) -> bool:
-        """To be called a few times a second: sends everything where it is due; whether it was."""
+    def settle(self, now: float) -> None:
+        """To be called a few times a second: sends everything where it is due."""
         with self._lock:
             before, self._subscribers = self._subscribers, self._publisher.get_subscription_count()
-            somebody_came = self._subscribers > before and bool(self._shown)
-            if not somebody_came and now < self._due:
-                return False
-            self._send_all(now)
-            if somebody_came:
+            if self._subscribers > before and self._shown:
+                self._send_all(now)
                 self._due = now + _SETTLED_S
-            return True
+            elif now >= self._due:
+                self._send_all(now)
 
     def _send_all(self, now: float) -> None:
         self._publisher.publish(serialized(self._head, self._shown, delete_all=True))
+        # Few messages are larger; nothing else may give back what it took for a long time.
+        give_back_memory()
         self._sent = self._whole = now
         self._due = math.inf
 

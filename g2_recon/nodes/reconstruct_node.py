@@ -188,10 +188,8 @@ class ReconstructNode(StageNode[ReconstructParameters]):
                 self._rebuild(anew=False)
             elif self._result is not None and self._drawn_by != self.settings.color_by:
                 self._draw_again()
-            sent = [topic.settle(monotonic()) for topic in (self._wire_mesh_topic, self._mesh_topic)]
-            if any(sent):
-                # Messages with everything are among the largest that there are.
-                give_back_memory()
+            for topic in (self._wire_mesh_topic, self._mesh_topic):
+                topic.settle(monotonic())
         except InputError as error:
             self._lack = str(error)
         except ExternalShutdownException:
