@@ -216,14 +216,15 @@ def serialized_path(head: Header, trajectory: Trajectory) -> bytes:
     nanoseconds = np.rint((trajectory.stamps - whole) * 1e9).astype(np.int64)
     records["sec"], records["nanosec"] = whole.astype(np.int64) + nanoseconds // 10**9, nanoseconds % 10**9
     records["length"], records["frame"] = len(frame), frame
-    records["pose"] = np.hstack([trajectory.positions, trajectory.quaternions])
-    poses = records.tobytes()
+    records["pose"][:, :3], records["pose"][:, 3:] = trajectory.positions, trajectory.quaternions
+    # Not copied before the message is put together: of a long way this is all that the message takes beside itself.
+    poses = records.view(np.uint8).data
     start = struct.pack("<iII", head.stamp.sec, head.stamp.nanosec, len(frame)) + frame
     start += bytes(-len(start) % 4) + struct.pack("<I", len(trajectory))
     # Where the poses begin, the doubles of the first are aligned otherwise than those of the others.
     start += poses[:size]
-    start += bytes(-len(start) % 8 if poses else 0) + poses[pose:step]
-    return b"\0\1\0\0" + start + poses[step:]
+    start += bytes(-len(start) % 8 if len(poses) else 0) + poses[pose:step]
+    return b"".join([b"\0\1\0\0", start, poses[step:]])
 
 
 def trajectory_from_path(message: Path) -> Trajectory:
