@@ -28,8 +28,27 @@ def sided_voxel_numbers(cloud: Cloud, edge: float) -> NDArray[np.int64]:
     """
     if cloud.sensor is None:
         return voxel_numbers(cloud.points, edge / 2)
-    beyond = np.where(cloud.sensor > cloud.points, 0.75, 0.25)
-    return voxel_numbers(edge * (np.floor(cloud.points / edge) + beyond), edge / 2)
+    return _numbers_of_octants(cloud.points, cloud.sensor > cloud.points, edge)
+
+
+def numbers_of_same_side(cloud: Cloud, edge: float) -> NDArray[np.int64]:
+    """The numbers (2, N) of the cube and the octants from which one sees the side of a surface that each point shows.
+
+    The first is that of `sided_voxel_numbers`, the other lies across the axis along which the sensor is least away: a
+    robot that comes back the other way sees the same wall from there. Without a sensor there is only the first: (1, N).
+    """
+    own = sided_voxel_numbers(cloud, edge)
+    if cloud.sensor is None:
+        return own[None]
+    beyond = cloud.sensor > cloud.points
+    least = np.abs(cloud.sensor - cloud.points).argmin(axis=1)
+    beyond[np.arange(len(cloud)), least] ^= True
+    return np.stack([own, _numbers_of_octants(cloud.points, beyond, edge)])
+
+
+def _numbers_of_octants(points: NDArray[np.float64], beyond: NDArray[np.bool_], edge: float) -> NDArray[np.int64]:
+    """beyond: (N, 3) on which side of its point an octant lies along each axis."""
+    return voxel_numbers(edge * (np.floor(points / edge) + np.where(beyond, 0.75, 0.25)), edge / 2)
 
 
 class VoxelFilter:
@@ -68,14 +87,14 @@ class VoxelCounts:
             self._numbers, self._counts = self._numbers[some], self._counts[some]
 
     def of(self, numbers: NDArray[np.int64]) -> NDArray[np.int32]:
-        """The counts (N,) of the cubes of these numbers (N,)."""
+        """The count of the cube of each number; both are of any shape."""
         rows, known = self._find(numbers)
-        counts = np.zeros(len(numbers), np.int32)
+        counts = np.zeros(numbers.shape, np.int32)
         counts[known] = self._counts[rows[known]]
         return counts
 
     def _find(self, numbers: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Where the numbers (N,) are, or would have to be, and whether they are there."""
+        """Where the numbers are, or would have to be, and whether they are there."""
         rows = np.searchsorted(self._numbers, numbers)
         known = rows < len(self._numbers)
         known[known] = self._numbers[rows[known]] == numbers[known]

@@ -14,7 +14,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 from g2_recon.geometry.cloud import ALL_PIECES, Cloud, Piece, concatenate
-from g2_recon.geometry.voxels import VoxelCounts, sided_voxel_numbers
+from g2_recon.geometry.voxels import VoxelCounts, numbers_of_same_side, sided_voxel_numbers
 
 # Of so many latest pieces all points are kept, whatever the others have: their places are the least sure, and a robot
 # that turns in a room on its first visit sees much of it twice.
@@ -151,7 +151,7 @@ class CollectedCloud:
 
     def _keep(self, parts: _Parts, cloud: Cloud) -> str:
         """Take those of the points into a piece that there are not enough of yet."""
-        few = self._counts.of(sided_voxel_numbers(cloud, self._edge)) < self._enough
+        few = self._counts.of(numbers_of_same_side(cloud, self._edge)).sum(axis=0) < self._enough
         kept = cloud if few.all() else cloud.select(few)
         if len(kept):
             parts.clouds.append(kept)

@@ -18,7 +18,7 @@ from g2_recon.config import RegistrationConfig
 from g2_recon.geometry.cloud import Cloud, concatenate
 from g2_recon.geometry.scan import Scan
 from g2_recon.geometry.trajectory import Trajectory
-from g2_recon.geometry.voxels import VoxelCounts, VoxelFilter, sided_voxel_numbers
+from g2_recon.geometry.voxels import VoxelCounts, VoxelFilter, numbers_of_same_side, sided_voxel_numbers
 from g2_recon.registration.corrected_trajectory import CorrectedTrajectory, Poses
 from g2_recon.registration.placing import place_beams, pose_at
 from g2_recon.registration.registered_cloud import RegisteredCloud
@@ -264,12 +264,13 @@ class Registrar:
             if any(self._shows_it_all(needed, view) for needed in self._needed):
                 self.too_near += 1
                 return
-            cubes = _cubes(placed)
-            if np.count_nonzero(self._known.of(cubes) == 0) < self._config.new_points * len(cubes):
+            cubes = numbers_of_same_side(placed, _KNOWN_CUBE_M)
+            known = self._known.of(cubes).any(axis=0)
+            if np.count_nonzero(~known) < self._config.new_points * cubes.shape[1]:
                 self.nothing_new += 1
                 return
             self._needed.appendleft(view)
-            number = self._keep(scan, first, last, cubes)
+            number = self._keep(scan, first, last, cubes[0])
         self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), number))
 
     def _shows_it_all(self, needed: _View, view: _View) -> bool:

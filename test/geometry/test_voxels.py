@@ -5,7 +5,13 @@ from collections import Counter
 import numpy as np
 
 from g2_recon.geometry.cloud import Cloud
-from g2_recon.geometry.voxels import VoxelCounts, VoxelFilter, sided_voxel_numbers, voxel_numbers
+from g2_recon.geometry.voxels import (
+    VoxelCounts,
+    VoxelFilter,
+    numbers_of_same_side,
+    sided_voxel_numbers,
+    voxel_numbers,
+)
 
 
 def test_points_have_the_number_of_their_cube():
@@ -45,6 +51,31 @@ def test_where_no_sensor_is_known_the_octant_is_that_of_the_cube():
     numbers = sided_voxel_numbers(Cloud(points), 0.2)
     assert numbers[0] == numbers[1]
     assert len(np.unique(numbers)) == 3
+
+
+def test_who_comes_back_the_other_way_sees_the_same_side():
+    rng = np.random.default_rng(3)
+    wall = np.column_stack([rng.uniform(0.05, 0.15, 100), rng.uniform(0.05, 0.15, 100), rng.uniform(0.05, 0.15, 100)])
+    # There along y, back along y, and the same beyond the wall.
+    there, back, beyond = (Cloud(wall, wall + way) for way in ((3.0, 0.2, 1.0), (3.0, -0.2, 1.0), (-3.0, 0.2, 1.0)))
+    counts = VoxelCounts()
+    counts.add(sided_voxel_numbers(there, 0.2))
+    assert (counts.of(numbers_of_same_side(there, 0.2)).sum(axis=0) == 100).all()
+    assert (counts.of(numbers_of_same_side(back, 0.2)).sum(axis=0) == 100).all()
+    assert not counts.of(numbers_of_same_side(beyond, 0.2)).any()
+
+
+def test_the_first_number_of_the_same_side_is_that_of_the_octant():
+    rng = np.random.default_rng(4)
+    cloud = Cloud(rng.uniform(-5, 5, (500, 3)), rng.uniform(-5, 5, (500, 3)))
+    own, other = numbers_of_same_side(cloud, 0.2)
+    assert np.array_equal(own, sided_voxel_numbers(cloud, 0.2))
+    assert (own != other).all()
+
+
+def test_without_a_sensor_there_is_no_other_octant():
+    cloud = Cloud(np.random.default_rng(5).uniform(-5, 5, (50, 3)))
+    assert np.array_equal(numbers_of_same_side(cloud, 0.2), [sided_voxel_numbers(cloud, 0.2)])
 
 
 def test_points_are_counted_cube_by_cube_and_taken_away_again():

@@ -141,6 +141,14 @@ def test_the_other_side_of_a_thin_wall_is_kept():
     assert len(collected) == 32 * 20
 
 
+def test_what_is_seen_on_the_way_back_is_known_from_the_way_there():
+    collected = filled()
+    back = wall(seed=1)
+    back.sensor[:, 1] = -1.0
+    collected.add(back, Piece(7, 50))
+    assert collected.redundant == 20
+
+
 def test_what_is_moved_to_where_nothing_is_comes_back_and_makes_room_where_it_was():
     collected = filled()
     collected.add(wall(), Piece(7, 50))

@@ -389,15 +389,15 @@ def test_with_the_true_trajectory_points_lie_on_the_surfaces():
     assert error.max() < 0.001
 
 
-def drive_again(stage, passes, *, begin=0, keyframes=(), x=0.0):
+def drive_again(stage, passes, *, begin=0, keyframes=(), x=0.0, turned=0.0):
     """Passes through the same 5 m of a tunnel of 1 m radius: 50 scans of 600 beams and a keyframe each."""
     told = list(keyframes)
     for number in range(begin, begin + passes):
         for step in range(50):
             stamp = 0.1 * (50 * number + step)
-            stage.add_pose(stamp, moving(x + 0.1 * step))
+            stage.add_pose(stamp, se3.from_se2([x + 0.1 * step, 0.0, turned]))
             if step == 0:
-                told.append((stamp, x, 0.0, 0.0))
+                told.append((stamp, x, 0.0, turned))
                 assert stage.follow(keyframes_at(told))
             stage.add_scan(scan(stamp, np.ones(600)))
     return told
@@ -418,6 +418,17 @@ def test_what_was_seen_again_and_again_is_not_needed_any_more():
     assert stage.nothing_new + stage.too_near == 25 * 50 - known
     assert stage.nothing_new > 800
     assert stage.drops == {}
+
+
+def test_what_was_seen_on_the_way_there_is_known_on_the_way_back():
+    # Whoever leans forward sees all from the other direction along the way when it comes back.
+    leaning = se3.from_xyz_rpy([0, 0, 0.5, 0, 0.1 - np.pi / 2, 0])
+    stage = Registrar(RegistrationConfig(), leaning, keep_scans=True)
+    told = drive_again(stage, 8)
+    known = stage.kept
+    drive_again(stage, 1, begin=8, keyframes=told, turned=np.pi)
+    # At each end there is a little that was not seen from there.
+    assert stage.kept - known < 10
 
 
 def test_all_scans_are_handed_out_where_none_has_to_see_anything_new():
