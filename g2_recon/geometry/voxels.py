@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from g2_recon.geometry.cloud import Cloud
 
 _BITS = 21
+# A sensor that is away along an axis by a smaller share of its distance may be there to either side of a point.
+_BY_CHANCE = 0.2
 
 
 def voxel_numbers(points: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
@@ -32,18 +34,24 @@ def sided_voxel_numbers(cloud: Cloud, edge: float) -> NDArray[np.int64]:
 
 
 def numbers_of_same_side(cloud: Cloud, edge: float) -> NDArray[np.int64]:
-    """The numbers (2, N) of the cube and the octants from which one sees the side of a surface that each point shows.
+    """The two numbers (2, N) under which points may be counted that show the same side of a surface as each point does.
 
-    The first is that of `sided_voxel_numbers`, the other lies across the axis along which the sensor is least away: a
-    robot that comes back the other way sees the same wall from there. Without a sensor there is only the first: (1, N).
+    A vertical scan has its sensor hardly away from a point along the way of the robot, so that it is chance on which
+    side of it, and the other one on the way back. So beside the number of `sided_voxel_numbers`, under which points are
+    counted, there is that of the octant across the lesser of x and y, if the sensor is less than a fifth of its
+    distance away along it; else -1, which no cube has. Who sees the other side of a surface is farther to its side than
+    that, or looks along it; and above and below stay apart.
     """
     own = sided_voxel_numbers(cloud, edge)
     if cloud.sensor is None:
-        return own[None]
-    beyond = cloud.sensor > cloud.points
-    least = np.abs(cloud.sensor - cloud.points).argmin(axis=1)
-    beyond[np.arange(len(cloud)), least] ^= True
-    return np.stack([own, _numbers_of_octants(cloud.points, beyond, edge)])
+        return np.stack([own, np.full(len(cloud), -1)])
+    away = cloud.sensor - cloud.points
+    rows, lesser = np.arange(len(cloud)), np.abs(away[:, :2]).argmin(axis=1)
+    beyond = away > 0
+    beyond[rows, lesser] ^= True
+    across = _numbers_of_octants(cloud.points, beyond, edge)
+    by_chance = np.abs(away[rows, lesser]) < _BY_CHANCE * np.linalg.norm(away, axis=1)
+    return np.stack([own, np.where(by_chance, across, -1)])
 
 
 def _numbers_of_octants(points: NDArray[np.float64], beyond: NDArray[np.bool_], edge: float) -> NDArray[np.int64]:

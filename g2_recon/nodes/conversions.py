@@ -217,7 +217,7 @@ def serialized_path(head: Header, trajectory: Trajectory) -> bytes:
     records["sec"], records["nanosec"] = whole.astype(np.int64) + nanoseconds // 10**9, nanoseconds % 10**9
     records["length"], records["frame"] = len(frame), frame
     records["pose"][:, :3], records["pose"][:, 3:] = trajectory.positions, trajectory.quaternions
-    # Not copied before the message is put together: of a long way this is all that the message takes beside itself.
+    # Not copied before the message is put together: there may be thousands of poses.
     poses = records.view(np.uint8).data
     start = struct.pack("<iII", head.stamp.sec, head.stamp.nanosec, len(frame)) + frame
     start += bytes(-len(start) % 4) + struct.pack("<I", len(trajectory))

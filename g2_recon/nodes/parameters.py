@@ -140,7 +140,7 @@ class ReconstructParameters(_SessionModel, _MapNodeModel, ReconstructionConfig):
     )
     cloud_topics: tuple[str, ...] = _parameter(("cloud",), "topics of the clouds, one or more a robot")
     enough_points: int = _parameter(
-        3,
+        2,
         "where pieces of the cloud before the latest 30 have so many points in a cube with the edge that `spacing` has "
         "at the start, seen from the same side, others are counted and not kept: memory grows with the surfaces only",
         ge=1,

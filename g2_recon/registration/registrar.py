@@ -264,13 +264,14 @@ class Registrar:
             if any(self._shows_it_all(needed, view) for needed in self._needed):
                 self.too_near += 1
                 return
-            cubes = numbers_of_same_side(placed, _KNOWN_CUBE_M)
-            known = self._known.of(cubes).any(axis=0)
-            if np.count_nonzero(~known) < self._config.new_points * cubes.shape[1]:
+            sides = numbers_of_same_side(placed, _KNOWN_CUBE_M)
+            known = np.count_nonzero(self._known.of(sides).any(axis=0))
+            if len(placed) - known < self._config.new_points * len(placed):
                 self.nothing_new += 1
                 return
             self._needed.appendleft(view)
-            number = self._keep(scan, first, last, cubes[0])
+            # The first ones are those of `_cubes`.
+            number = self._keep(scan, first, last, sides[0])
         self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), number))
 
     def _shows_it_all(self, needed: _View, view: _View) -> bool:

@@ -3,6 +3,7 @@
 from collections import Counter
 
 import numpy as np
+import pytest
 
 from g2_recon.geometry.cloud import Cloud
 from g2_recon.geometry.voxels import (
@@ -53,16 +54,41 @@ def test_where_no_sensor_is_known_the_octant_is_that_of_the_cube():
     assert len(np.unique(numbers)) == 3
 
 
-def test_who_comes_back_the_other_way_sees_the_same_side():
-    rng = np.random.default_rng(3)
-    wall = np.column_stack([rng.uniform(0.05, 0.15, 100), rng.uniform(0.05, 0.15, 100), rng.uniform(0.05, 0.15, 100)])
-    # There along y, back along y, and the same beyond the wall.
-    there, back, beyond = (Cloud(wall, wall + way) for way in ((3.0, 0.2, 1.0), (3.0, -0.2, 1.0), (-3.0, 0.2, 1.0)))
+def counted_of_other(one, other, *, count=100):
+    """How many points of a cube of 0.2 m that are seen from `one` are known to who sees them from `other` (3,)."""
+    points = np.random.default_rng(3).uniform(0.09, 0.11, (count, 3))
     counts = VoxelCounts()
-    counts.add(sided_voxel_numbers(there, 0.2))
-    assert (counts.of(numbers_of_same_side(there, 0.2)).sum(axis=0) == 100).all()
-    assert (counts.of(numbers_of_same_side(back, 0.2)).sum(axis=0) == 100).all()
-    assert not counts.of(numbers_of_same_side(beyond, 0.2)).any()
+    counts.add(sided_voxel_numbers(Cloud(points, points + one), 0.2))
+    known = counts.of(numbers_of_same_side(Cloud(points, points + other), 0.2)).sum(axis=0)
+    assert len(set(known.tolist())) == 1
+    return int(known[0])
+
+
+@pytest.mark.parametrize(("one", "other"), [((3.0, 0.2, 1.0), (3.0, -0.2, 1.0)), ((-0.1, 1.5, -1.0), (0.1, 1.5, -1.0))])
+def test_who_comes_back_the_other_way_sees_the_same_side(one, other):
+    assert counted_of_other(one, one) == counted_of_other(one, other) == counted_of_other(other, one) == 100
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ((0.3, 1.4, -0.6), (0.3, 1.4, 0.9)),  # a board from below and from above
+        ((0.9, 0.9, -0.1), (0.9, 0.9, 0.1)),
+        ((0.3, 0.5, 1.0), (-0.3, 0.5, 1.0)),  # a wall from both sides, near to it
+        ((3.0, 0.2, 1.0), (-3.0, -0.2, 1.0)),
+    ],
+)
+def test_the_other_side_is_not_known(one, other):
+    assert counted_of_other(one, other) == 0
+    assert counted_of_other(other, one) == 0
+
+
+def test_points_of_both_octants_count_together():
+    points = np.full((3, 3), 0.1)
+    ways = np.array([(3.0, 0.2, 1.0), (3.0, 0.1, 1.0), (3.0, -0.2, 1.0)])
+    counts = VoxelCounts()
+    counts.add(sided_voxel_numbers(Cloud(points, points + ways), 0.2))
+    assert counts.of(numbers_of_same_side(Cloud(points[:1], points[:1] + ways[:1]), 0.2)).tolist() == [[2], [1]]
 
 
 def test_the_first_number_of_the_same_side_is_that_of_the_octant():
@@ -71,11 +97,14 @@ def test_the_first_number_of_the_same_side_is_that_of_the_octant():
     own, other = numbers_of_same_side(cloud, 0.2)
     assert np.array_equal(own, sided_voxel_numbers(cloud, 0.2))
     assert (own != other).all()
+    assert 0 < np.count_nonzero(other >= 0) < 500
 
 
 def test_without_a_sensor_there_is_no_other_octant():
     cloud = Cloud(np.random.default_rng(5).uniform(-5, 5, (50, 3)))
-    assert np.array_equal(numbers_of_same_side(cloud, 0.2), [sided_voxel_numbers(cloud, 0.2)])
+    own, other = numbers_of_same_side(cloud, 0.2)
+    assert np.array_equal(own, sided_voxel_numbers(cloud, 0.2))
+    assert (other == -1).all()
 
 
 def test_points_are_counted_cube_by_cube_and_taken_away_again():

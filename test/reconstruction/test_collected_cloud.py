@@ -144,7 +144,7 @@ def test_the_other_side_of_a_thin_wall_is_kept():
 def test_what_is_seen_on_the_way_back_is_known_from_the_way_there():
     collected = filled()
     back = wall(seed=1)
-    back.sensor[:, 1] = -1.0
+    back.sensor[:, 1] = -0.5
     collected.add(back, Piece(7, 50))
     assert collected.redundant == 20
 
