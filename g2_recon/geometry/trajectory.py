@@ -15,6 +15,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from g2_recon.errors import InputError
 from g2_recon.geometry import se2, se3
 
+# Of so many poses there are matrices at once: of all of a long way they would take several times what it takes.
+_AT_ONCE = 256
+
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
@@ -45,7 +48,13 @@ class Trajectory:
     @classmethod
     def from_se2(cls, stamps: ArrayLike, poses: ArrayLike) -> Trajectory:
         """From stamps (N,) and planar poses (N, 3)."""
-        return cls.from_matrices(stamps, se3.from_se2(np.asarray(poses, float).reshape(-1, 3)))
+        planar = np.asarray(poses, float).reshape(-1, 3)
+        positions, quaternions = np.zeros((len(planar), 3)), np.empty((len(planar), 4))
+        positions[:, :2] = planar[:, :2]
+        for begin in range(0, len(planar), _AT_ONCE):
+            rows = slice(begin, begin + _AT_ONCE)
+            quaternions[rows] = se3.to_quaternion(se3.from_se2(planar[rows]))
+        return cls(np.asarray(stamps, float), positions, quaternions)
 
     def matrices(self) -> NDArray[np.float64]:
         """Transforms T_map_body (N, 4, 4). Raises InputError where a pose is not finite or not a rotation."""

@@ -16,6 +16,17 @@ def straight(stamps):
     return Trajectory.from_se2(stamps, np.column_stack([stamps, np.zeros(len(stamps)), 0.1 * stamps]))
 
 
+@pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 1000])
+def test_planar_poses_are_those_of_their_matrices(count):
+    poses = np.random.default_rng(count).uniform(-10, 10, (count, 3))
+    trajectory, twin = (
+        Trajectory.from_se2(np.arange(count), poses),
+        Trajectory.from_matrices(np.arange(count), se3.from_se2(poses)),
+    )
+    assert np.array_equal(trajectory.positions, twin.positions)
+    assert np.array_equal(trajectory.quaternions, twin.quaternions)
+
+
 def test_between_two_poses_position_and_heading_are_interpolated():
     transforms, known = straight([0.0, 1.0]).interpolate([0.25])
     assert known.all()
