@@ -202,7 +202,7 @@ class Registrar:
         poses = self._trajectory.between(piece.first, piece.last)
         clouds = [placed for scan in piece.scans if isinstance(placed := self._place(scan, poses), Cloud)]
         placed_anew = concatenate(clouds)
-        self._see(piece, np.unique(_cubes(placed_anew)))
+        self._see(piece, np.unique(sided_voxel_numbers(placed_anew, _KNOWN_CUBE_M)))
         cloud = self._thinned(placed_anew, self._new_filter())
         return RegisteredCloud(max(scan.stamp for scan in piece.scans), cloud, number, piece.revision)
 
@@ -270,7 +270,7 @@ class Registrar:
                 self.nothing_new += 1
                 return
             self._needed.appendleft(view)
-            # The first ones are those of `_cubes`.
+            # Points are counted under the first numbers only.
             number = self._keep(scan, first, last, sides[0])
         self._done.append(RegisteredCloud(scan.stamp, self._thinned(placed, self._filter), number))
 
@@ -341,8 +341,3 @@ class Registrar:
     @staticmethod
     def _thinned(cloud: Cloud, voxels: VoxelFilter | None) -> Cloud:
         return cloud if voxels is None else cloud.select(voxels.first(cloud.points))
-
-
-def _cubes(cloud: Cloud) -> NDArray[np.int64]:
-    """The number, for each point (N,), of the cube in which it is and of the side from which it was seen."""
-    return sided_voxel_numbers(cloud, _KNOWN_CUBE_M)
